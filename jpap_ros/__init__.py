@@ -1,0 +1,1 @@
+"""Live UAV fleet deployment: plan, allocate power, and fly there over MAVLink."""

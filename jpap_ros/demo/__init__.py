@@ -1,0 +1,1 @@
+"""The main job: real device positions to a hovering fleet, as processes on one machine."""

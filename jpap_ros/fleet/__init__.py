@@ -1,0 +1,1 @@
+"""Which UAV flies where and how it gets there safely. Knows neither ROS nor MAVLink."""

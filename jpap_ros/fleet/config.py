@@ -1,0 +1,257 @@
+"""The fleet file: one YAML, the same for planner, bridge and simulated vehicles."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+VERSION = 1
+AUTOPILOTS = ("auto", "ardupilot", "px4")
+ALTITUDE_DATUMS = ("relative", "amsl")
+LINK_KINDS = ("udpin", "udpout", "tcp", "serial")
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_OWN_SYSID_RANGE = range(1, 255)
+
+
+class FleetFileError(ValueError):
+    """The fleet file is wrong; the message names the file, the key and the value."""
+
+
+@dataclass(frozen=True)
+class MapOrigin:
+    """Geodetic position of the map frame's origin.
+
+    Attributes
+    ----------
+    latitude, longitude : float
+        WGS-84 [deg].
+    altitude_amsl_m : float
+        Height of the ground, z = 0 of the map frame, above mean sea level [m].
+    """
+
+    latitude: float
+    longitude: float
+    altitude_amsl_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class LinkUrl:
+    """Where a vehicle is reached.
+
+    Attributes
+    ----------
+    kind : str
+        `udpin` (listen), `udpout` (send to), `tcp` (connect to) or `serial`.
+    host : str
+        Address to listen on or to reach; the device's path for `serial`.
+    port : int
+        UDP or TCP port; baud rate for `serial`.
+    """
+
+    kind: str
+    host: str
+    port: int
+
+    @classmethod
+    def parse(cls, text: object) -> LinkUrl:
+        """Read `kind:host:port`, e.g. `udpin:0.0.0.0:14550` or `serial:/dev/ttyUSB0:57600`; ValueError if wrong."""
+        shape = "<kind>:<host>:<port> with kind one of " + ", ".join(LINK_KINDS)
+        kind, _, rest = str(text).partition(":")
+        host, _, port = rest.rpartition(":")
+        if kind not in LINK_KINDS or not host or not port.isascii() or not port.isdigit():
+            raise ValueError(f"must be {shape}, got {text!r}")
+        limit = 10_000_000 if kind == "serial" else 65_535
+        if not 0 < int(port) <= limit:
+            raise ValueError(f"must have a {'baud rate' if kind == 'serial' else 'port'} from 1 to {limit}, got {text!r}")
+        return cls(kind, host, int(port))
+
+    def __str__(self) -> str:
+        return f"{self.kind}:{self.host}:{self.port}"
+
+
+@dataclass(frozen=True)
+class UavConfig:
+    """One aircraft of the fleet.
+
+    Attributes
+    ----------
+    name : str
+        Name in topics and services: letters, digits and underscores, starting with a letter.
+    sysid : int
+        MAVLink system id, 1 to 254.
+    url : LinkUrl
+        Where it is reached.
+    autopilot : str
+        `auto` (decided from its heartbeat), `ardupilot` or `px4`.
+    altitude_datum : str
+        `relative`: a goal's height is sent as height above the vehicle's home; `amsl`: as height above mean sea
+        level, from the map origin's altitude.
+    home_m : tuple of float or None
+        Where it stands on the ground, (east, north) [m]; the simulated vehicle starts there.
+    """
+
+    name: str
+    sysid: int
+    url: LinkUrl
+    autopilot: str = "auto"
+    altitude_datum: str = "relative"
+    home_m: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class FleetConfig:
+    """The whole fleet.
+
+    Attributes
+    ----------
+    origin : MapOrigin
+        Where the map frame lies on the earth.
+    uavs : tuple of UavConfig
+        In the order of the file.
+    """
+
+    origin: MapOrigin
+    uavs: tuple[UavConfig, ...]
+
+    def __getitem__(self, name: str) -> UavConfig:
+        for uav in self.uavs:
+            if uav.name == name:
+                return uav
+        raise KeyError(name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all UAVs, in the order of the file."""
+        return tuple(uav.name for uav in self.uavs)
+
+
+def load_fleet(path: str | Path) -> FleetConfig:
+    """Read a fleet file.
+
+    Raises
+    ------
+    FleetFileError
+        If the file cannot be read or anything in it is wrong: unknown or missing keys, duplicate names or system
+        ids, a bad url. The message names the file, the key and the value.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FleetFileError(f"{path}: cannot be read: {error}") from None
+    return parse_fleet(text, source=str(path))
+
+
+def parse_fleet(text: str, source: str = "fleet file") -> FleetConfig:
+    """Read a fleet from YAML text; `source` names it in errors. See `load_fleet`."""
+    try:
+        data = yaml.load(text, Loader=_UniqueKeyLoader)
+    except yaml.YAMLError as error:
+        raise FleetFileError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from None
+    try:
+        return _fleet(data)
+    except ValueError as error:
+        raise FleetFileError(f"{source}: {error}") from None
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML's own rule, which PyYAML does not enforce: a key stands once in a mapping."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"duplicate key {key!r}", key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def _fleet(data: object) -> FleetConfig:
+    top = _mapping("the file", data, required=("version", "origin", "uavs"), optional=("defaults",))
+    if type(top["version"]) is not int or top["version"] != VERSION:
+        raise ValueError(f"version must be {VERSION}, got {top['version']!r}")
+    shared = _mapping("defaults", top.get("defaults") or {}, optional=("autopilot", "altitude_datum"))
+    entries = top["uavs"]
+    if not isinstance(entries, list) or not entries:
+        raise ValueError(f"uavs must be a list with at least one entry, got {entries!r}")
+    uavs = tuple(_uav(f"uavs[{i}]", entry, shared) for i, entry in enumerate(entries))
+    for attribute in ("name", "sysid"):
+        seen: dict[object, int] = {}
+        for i, uav in enumerate(uavs):
+            value = getattr(uav, attribute)
+            if value in seen:
+                raise ValueError(f"uavs[{i}].{attribute}: {value!r} is already that of uavs[{seen[value]}]")
+            seen[value] = i
+    return FleetConfig(_origin(top["origin"]), uavs)
+
+
+def _origin(data: object) -> MapOrigin:
+    entry = _mapping("origin", data, required=("latitude", "longitude"), optional=("altitude_amsl_m",))
+    return MapOrigin(
+        _number("origin.latitude", entry["latitude"], 89.0),
+        _number("origin.longitude", entry["longitude"], 180.0),
+        _number("origin.altitude_amsl_m", entry.get("altitude_amsl_m", 0.0), 9000.0),
+    )
+
+
+def _uav(where: str, data: object, shared: Mapping[str, Any]) -> UavConfig:
+    optional = tuple(f.name for f in fields(UavConfig) if f.name not in ("name", "sysid", "url"))
+    entry = {**shared, **_mapping(where, data, required=("name", "sysid", "url"), optional=optional)}
+    name = entry["name"]
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise ValueError(f"{where}.name must be letters, digits and underscores, starting with a letter, got {name!r}")
+    sysid = entry["sysid"]
+    if type(sysid) is not int or sysid not in _OWN_SYSID_RANGE:
+        raise ValueError(f"{where}.sysid must be a whole number from 1 to 254, got {sysid!r}")
+    try:
+        url = LinkUrl.parse(entry["url"])
+    except ValueError as error:
+        raise ValueError(f"{where}.url {error}") from None
+    return UavConfig(
+        name,
+        sysid,
+        url,
+        _choice(f"{where}.autopilot", entry.get("autopilot", "auto"), AUTOPILOTS),
+        _choice(f"{where}.altitude_datum", entry.get("altitude_datum", "relative"), ALTITUDE_DATUMS),
+        _home(f"{where}.home_m", entry.get("home_m")),
+    )
+
+
+def _home(where: str, value: object) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    if not isinstance(value, list) or len(value) != 2:
+        raise ValueError(f"{where} must be [east, north] in metres, got {value!r}")
+    return _number(f"{where}[0]", value[0], 1e6), _number(f"{where}[1]", value[1], 1e6)
+
+
+def _mapping(
+    where: str, data: object, required: tuple[str, ...] = (), optional: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    if not isinstance(data, dict):
+        raise ValueError(f"{where} must be a mapping, got {data!r}")
+    for key in data:
+        if key not in required + optional:
+            raise ValueError(f"{where} has the unknown key {key!r}; known are {', '.join(required + optional)}")
+    for key in required:
+        if key not in data:
+            raise ValueError(f"{where} lacks the key {key!r}")
+    return data
+
+
+def _number(where: str, value: object, limit: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or abs(value) > limit:
+        raise ValueError(f"{where} must be a number from {-limit:g} to {limit:g}, got {value!r}")
+    return float(value)
+
+
+def _choice(where: str, value: object, choices: tuple[str, ...]) -> str:
+    if value not in choices:
+        raise ValueError(f"{where} must be one of {', '.join(choices)}, got {value!r}")
+    return str(value)

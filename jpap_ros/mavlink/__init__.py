@@ -1,0 +1,1 @@
+"""Links, vehicles, commands, autopilot personalities, geodesy and signing. Knows no ROS."""

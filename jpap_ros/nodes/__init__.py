@@ -1,0 +1,1 @@
+"""Thin ROS shells round planning, fleet, mavlink and sim: parameters, messages, callbacks."""

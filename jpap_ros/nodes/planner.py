@@ -1,0 +1,3 @@
+def main():
+    import sys
+    print("ok", sys.argv)

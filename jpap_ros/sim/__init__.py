@@ -1,0 +1,1 @@
+"""Simulated multirotors that speak MAVLink 2. Knows no ROS."""

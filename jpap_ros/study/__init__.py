@@ -1,0 +1,1 @@
+"""Monte-Carlo comparison of schemes and the paper's figures."""
