@@ -68,7 +68,9 @@ class LinkUrl:
             raise ValueError(f"must be {shape}, got {text!r}")
         limit = 10_000_000 if kind == "serial" else 65_535
         if not 0 < int(port) <= limit:
-            raise ValueError(f"must have a {'baud rate' if kind == 'serial' else 'port'} from 1 to {limit}, got {text!r}")
+            raise ValueError(
+                f"must have a {'baud rate' if kind == 'serial' else 'port'} from 1 to {limit}, got {text!r}"
+            )
         return cls(kind, host, int(port))
 
     def __str__(self) -> str:
@@ -85,8 +87,8 @@ class UavConfig:
         Name in topics and services: letters, digits and underscores, starting with a letter.
     sysid : int
         MAVLink system id, 1 to 254.
-    url : LinkUrl
-        Where it is reached.
+    urls : tuple of LinkUrl
+        Where it is reached; more than one where it has several links. The first is the preferred one.
     autopilot : str
         `auto` (decided from its heartbeat), `ardupilot` or `px4`.
     altitude_datum : str
@@ -98,7 +100,7 @@ class UavConfig:
 
     name: str
     sysid: int
-    url: LinkUrl
+    urls: tuple[LinkUrl, ...]
     autopilot: str = "auto"
     altitude_datum: str = "relative"
     home_m: tuple[float, float] | None = None
@@ -201,7 +203,7 @@ def _origin(data: object) -> MapOrigin:
 
 
 def _uav(where: str, data: object, shared: Mapping[str, Any]) -> UavConfig:
-    optional = tuple(f.name for f in fields(UavConfig) if f.name not in ("name", "sysid", "url"))
+    optional = tuple(f.name for f in fields(UavConfig) if f.name not in ("name", "sysid", "urls"))
     entry = {**shared, **_mapping(where, data, required=("name", "sysid", "url"), optional=optional)}
     name = entry["name"]
     if not isinstance(name, str) or not _NAME.fullmatch(name):
@@ -209,18 +211,23 @@ def _uav(where: str, data: object, shared: Mapping[str, Any]) -> UavConfig:
     sysid = entry["sysid"]
     if type(sysid) is not int or sysid not in _OWN_SYSID_RANGE:
         raise ValueError(f"{where}.sysid must be a whole number from 1 to 254, got {sysid!r}")
-    try:
-        url = LinkUrl.parse(entry["url"])
-    except ValueError as error:
-        raise ValueError(f"{where}.url {error}") from None
     return UavConfig(
         name,
         sysid,
-        url,
+        _urls(f"{where}.url", entry["url"]),
         _choice(f"{where}.autopilot", entry.get("autopilot", "auto"), AUTOPILOTS),
         _choice(f"{where}.altitude_datum", entry.get("altitude_datum", "relative"), ALTITUDE_DATUMS),
         _home(f"{where}.home_m", entry.get("home_m")),
     )
+
+
+def _urls(where: str, value: object) -> tuple[LinkUrl, ...]:
+    if value == []:
+        raise ValueError(f"{where} must be a url or a list of urls, got {value!r}")
+    try:
+        return tuple(LinkUrl.parse(text) for text in (value if isinstance(value, list) else [value]))
+    except ValueError as error:
+        raise ValueError(f"{where} {error}") from None
 
 
 def _home(where: str, value: object) -> tuple[float, float] | None:

@@ -1,3 +1,4 @@
 def main():
     import sys
+
     print("ok", sys.argv)
