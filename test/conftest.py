@@ -8,8 +8,12 @@ import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
+
+if TYPE_CHECKING:
+    from graph import Graph, NodeProcess
 
 # Above 101 the DDS ports reach the range that Linux hands out to clients.
 DOMAINS = range(1, 102)
@@ -55,3 +59,29 @@ def free_ports() -> Callable[[int], list[int]]:
         return ports
 
     return find
+
+
+@pytest.fixture
+def graph(ros_domain: int) -> Iterator[Graph]:
+    """Return the test's own node in an isolated ROS graph."""
+    from graph import Graph
+
+    own = Graph()
+    yield own
+    own.close()
+
+
+@pytest.fixture
+def start_node(ros_domain: int, tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+    """Return a function that starts an executable, as `NodeProcess` does; all end with the test."""
+    from graph import NodeProcess
+
+    started: list[NodeProcess] = []
+
+    def start(executable: str, *args: Any, **kwargs: Any) -> NodeProcess:
+        started.append(NodeProcess(executable, tmp_path / f"{len(started)}_{executable}.log", *args, **kwargs))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
