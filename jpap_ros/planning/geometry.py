@@ -1,0 +1,128 @@
+"""Whether discs in the plane share a point, decided exactly.
+
+The discs |v - u_k|^2 <= r_k^2 share a point if and only if the least value over v of max_k (|v - u_k|^2 - r_k^2) is
+not positive. That function is strictly convex, and its minimiser is fixed by at most three of the discs (its basis);
+for equal radii it is the centre of the smallest enclosing circle. The basis is found by pivoting: as long as a disc
+exceeds the value of the basis, the one that exceeds it most enters, and the value grows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jpap_ros.planning.link_budget import Floats
+
+#: A squared distance may exceed its squared radius by this part of it: rounding of double precision, no more.
+#: Ten times finer than the tolerance of `Deployment.violations`, so that what is accepted here holds there.
+RELATIVE_TOLERANCE = 1e-10
+#: Rounding of a coordinate relative to the extent of the centres: what is left where a radius is 0.
+COORDINATE_TOLERANCE = 1e-13
+
+
+def common_point(centres: ArrayLike, squared_radii: ArrayLike) -> Floats | None:
+    """A point that all discs share, or None where there is none.
+
+    Parameters
+    ----------
+    centres : (n, 2) array_like
+        Centres of the discs [m]; n >= 1.
+    squared_radii : (n,) array_like
+        Squared radii [m^2]; a negative one means the empty disc.
+
+    Returns
+    -------
+    (2,) float or None
+        The point deepest in the discs: it minimises max_k (|v - u_k|^2 - r_k^2).
+    """
+    points = np.asarray(centres, float).reshape(-1, 2)
+    radii = np.asarray(squared_radii, float)
+    found = deepest_common_point(points[:, 0].tolist(), points[:, 1].tolist(), radii.tolist())
+    return None if found is None else np.array(found)
+
+
+def smallest_enclosing_circle(points: ArrayLike) -> tuple[Floats, float]:
+    """Centre (2,) [m] and radius [m] of the smallest circle round points (n, 2) [m]; n >= 1."""
+    array = np.asarray(points, float).reshape(-1, 2)
+    xs, ys = array[:, 0].tolist(), array[:, 1].tolist()
+    x, y = _least_excess(xs, ys, [0.0] * len(xs))
+    return np.array([x, y]), max(math.hypot(x - px, y - py) for px, py in zip(xs, ys, strict=True))
+
+
+def deepest_common_point(
+    xs: Sequence[float], ys: Sequence[float], squared_radii: Sequence[float]
+) -> tuple[float, float] | None:
+    """`common_point` in plain floats, for the inner loop of the schemes."""
+    if min(squared_radii) < 0:
+        return None
+    x, y = _least_excess(xs, ys, squared_radii)
+    slack = (COORDINATE_TOLERANCE * (max(xs) - min(xs) + max(ys) - min(ys))) ** 2
+    for px, py, r2 in zip(xs, ys, squared_radii, strict=True):
+        if (x - px) ** 2 + (y - py) ** 2 > r2 * (1 + RELATIVE_TOLERANCE) + slack:
+            return None
+    return x, y
+
+
+def _least_excess(xs: Sequence[float], ys: Sequence[float], squared_radii: Sequence[float]) -> tuple[float, float]:
+    """The point that minimises max_k (|v - u_k|^2 - r_k^2)."""
+    # Relative to the first centre, so that coordinates far from the origin lose no digits.
+    x0, y0 = xs[0], ys[0]
+    discs = [(x - x0, y - y0, r2) for x, y, r2 in zip(xs, ys, squared_radii, strict=True)]
+    basis = [discs[0]]
+    x, y, value = 0.0, 0.0, -discs[0][2]
+    while True:
+        worst, entering = value, None
+        for disc in discs:
+            excess = (x - disc[0]) ** 2 + (y - disc[1]) ** 2 - disc[2]
+            if excess > worst:
+                worst, entering = excess, disc
+        if entering is None:
+            return x + x0, y + y0
+        solution = _extended_basis(basis, entering)
+        # The value of the basis grows with every disc that enters; where rounding stops that, it is exact enough.
+        if solution is None or solution[2] <= value:
+            return x + x0, y + y0
+        x, y, value, basis = solution
+
+
+Disc = tuple[float, float, float]
+
+
+def _extended_basis(basis: list[Disc], entering: Disc) -> tuple[float, float, float, list[Disc]] | None:
+    """Solution (x, y, value, basis) for the discs of a basis and one more, which belongs to the new basis."""
+    best = None
+    everyone = [*basis, entering]
+    for others in range(3):
+        for chosen in combinations(basis, others):
+            point = _equal_excess(entering, chosen)
+            if point is None:
+                continue
+            x, y = point
+            value = max((x - u) ** 2 + (y - v) ** 2 - r2 for u, v, r2 in everyone)
+            if best is None or value < best[2]:
+                best = x, y, value, [*chosen, entering]
+    return best
+
+
+def _equal_excess(disc: Disc, others: tuple[Disc, ...]) -> tuple[float, float] | None:
+    """The point nearest to the disc's centre whose excess is the same for the disc and the (at most 2) others."""
+    if not others:
+        return disc[0], disc[1]
+    # |v - u_j|^2 - r_j^2 = |v - u|^2 - r^2 is the line 2 (u_j - u) . (v - u) = |u_j - u|^2 - r_j^2 + r^2.
+    (ax, ay, a), *rest = [_radical_axis(disc, other) for other in others]
+    if not rest:
+        length2 = ax * ax + ay * ay
+        return None if length2 == 0 else (disc[0] + a * ax / length2, disc[1] + a * ay / length2)
+    bx, by, b = rest[0]
+    det = ax * by - ay * bx
+    return None if det == 0 else (disc[0] + (a * by - b * ay) / det, disc[1] + (ax * b - bx * a) / det)
+
+
+def _radical_axis(disc: Disc, other: Disc) -> tuple[float, float, float]:
+    """Coefficients (a, b, c) of the line a x + b y = c of equal excess, relative to the disc's centre."""
+    dx, dy = other[0] - disc[0], other[1] - disc[1]
+    return dx, dy, (dx * dx + dy * dy - other[2] + disc[2]) / 2
