@@ -1,0 +1,129 @@
+"""What every kind of link has: remote peers with a stream each, states, counters."""
+
+from __future__ import annotations
+
+import selectors
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from jpap_ros.fleet.config import LinkUrl
+from jpap_ros.mavlink.channel import Channel
+
+
+@dataclass(frozen=True)
+class LinkOptions:
+    """How a link is run.
+
+    Attributes
+    ----------
+    max_peers : int
+        Of a `udpin` link: senders remembered at a time; others are not heard until one falls silent.
+    forget_peer_s : float
+        Of a `udpin` link: a sender silent for so long is forgotten [s].
+    connect_timeout_s : float
+        Of a `tcp` link: how long one attempt may take [s].
+    first_retry_s, max_retry_s : float
+        Of a `tcp` or `serial` link: pause after the first failed attempt, doubled up to the second value [s].
+    max_pending_bytes : int
+        Bytes kept for a remote end that does not read; further frames are dropped whole.
+    """
+
+    max_peers: int = 512
+    forget_peer_s: float = 60.0
+    connect_timeout_s: float = 5.0
+    first_retry_s: float = 0.25
+    max_retry_s: float = 5.0
+    max_pending_bytes: int = 65_536
+
+
+class Peer:
+    """One remote end of a link, with the state of the stream in each direction.
+
+    Attributes
+    ----------
+    address : tuple of (str, int) or None
+        Its UDP or TCP address; None on a serial link.
+    channel : Channel
+        Parser of what comes from it.
+    sequence : int
+        Of the next message of ours to it. Counted per remote end, so that it sees no gaps.
+    last_heard : float
+        Monotonic time [s] of its last bytes; minus infinity if none came.
+    """
+
+    __slots__ = ("_name", "address", "channel", "last_heard", "sequence", "socket_address")
+
+    def __init__(self, name: str, address: tuple[str, int] | None, socket_address: object = None) -> None:
+        self._name = name
+        self.address = address
+        self.socket_address = socket_address
+        self.channel = Channel()
+        self.sequence = 0
+        self.last_heard = float("-inf")
+
+    def __str__(self) -> str:
+        return self._name
+
+    def __repr__(self) -> str:
+        return f"Peer({self._name})"
+
+
+class Link(ABC):
+    """One socket or serial port. All methods are for the hub's thread.
+
+    Attributes
+    ----------
+    url : LinkUrl
+    options : LinkOptions
+    index : int
+        Number of the link within its hub, from 0.
+    reconnects : int
+        Connections made after the first.
+    problem : str
+        Why the link is down; empty while it is up.
+    """
+
+    def __init__(self, url: LinkUrl, options: LinkOptions, index: int, selector: selectors.BaseSelector) -> None:
+        self.url = url
+        self.options = options
+        self.index = index
+        self.reconnects = 0
+        self.problem = ""
+        self._selector = selector
+
+    @property
+    @abstractmethod
+    def up(self) -> bool:
+        """Whether bytes can be sent."""
+
+    @property
+    @abstractmethod
+    def peers(self) -> tuple[Peer, ...]:
+        """Remote ends known now."""
+
+    @abstractmethod
+    def service(self, now: float) -> float:
+        """Do what time asks for (connect, give up, forget); return the time to be called again."""
+
+    @abstractmethod
+    def read(self, now: float) -> Iterator[tuple[Peer, memoryview]]:
+        """Read what is ready, a bounded amount; the views are valid until the next step."""
+
+    @abstractmethod
+    def write_ready(self, now: float) -> None:
+        """The socket can take bytes again."""
+
+    @abstractmethod
+    def transmit(self, data: bytes, peer: Peer) -> bool:
+        """Send one whole frame; False if it was dropped whole."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the socket or port."""
+
+    def __str__(self) -> str:
+        return str(self.url)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.url})"

@@ -1,0 +1,190 @@
+"""All links of one process, read and written by one thread.
+
+>>> hub = LinkHub(sysid=245)
+>>> link = hub.open(LinkUrl.parse("udpin:127.0.0.1:14550"))
+>>> packets = hub.poll(timeout_s=0.1)
+"""
+
+from __future__ import annotations
+
+import contextlib
+import selectors
+import socket
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from jpap_ros.fleet.config import LinkUrl
+from jpap_ros.mavlink.link import Link, LinkOptions, Peer
+from jpap_ros.mavlink.link_stream import SerialPort, TcpClient
+from jpap_ros.mavlink.link_udp import UdpListener, UdpSender
+from jpap_ros.mavlink.resolver import Resolver
+
+__all__ = ["Link", "LinkHub", "LinkOptions", "Packet", "Peer"]
+
+COMPONENT_ID = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One message received.
+
+    Attributes
+    ----------
+    link : Link
+    peer : Peer
+        Remote end of the link it came from.
+    message : MAVLink_message
+        Its `get_msgbuf()` holds the frame's raw bytes.
+    received_at : float
+        Monotonic time [s].
+    """
+
+    link: Link
+    peer: Peer
+    message: dialect.MAVLink_message
+    received_at: float
+
+
+class LinkHub:
+    """Opens links, sends and receives MAVLink 2 on them. Everything but `wake` is for one thread.
+
+    Parameters
+    ----------
+    sysid, component : int
+        Our own MAVLink identity.
+    clock : callable
+        Monotonic time [s].
+    """
+
+    def __init__(self, sysid: int, component: int = COMPONENT_ID, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._selector = selectors.DefaultSelector()
+        self._links: list[Link] = []
+        self._service_at: dict[Link, float] = {}
+        self._packer = dialect.MAVLink(None, srcSystem=sysid, srcComponent=component)
+        self._wake_receiver, self._wake_sender = socket.socketpair()
+        self._wake_receiver.setblocking(False)
+        self._wake_sender.setblocking(False)
+        self._selector.register(self._wake_receiver, selectors.EVENT_READ, None)
+        self._resolver = Resolver(self.wake)
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """All open links, in the order of opening."""
+        return tuple(self._links)
+
+    def open(self, url: LinkUrl, options: LinkOptions = LinkOptions()) -> Link:  # noqa: B008 (immutable)
+        """Open a link.
+
+        Raises
+        ------
+        OSError
+            If the port of a `udpin` url cannot be listened on. Anything else that is not there yet is tried again,
+            by `poll`, until it is.
+        """
+        index = len(self._links)
+        link: Link
+        if url.kind == "udpin":
+            link = UdpListener(url, options, index, self._selector)
+        elif url.kind == "udpout":
+            link = UdpSender(url, options, index, self._selector, self._resolver)
+        elif url.kind == "tcp":
+            link = TcpClient(url, options, index, self._selector, self._resolver)
+        else:
+            link = SerialPort(url, options, index, self._selector)
+        self._links.append(link)
+        self._service_at[link] = link.service(self._clock())
+        return link
+
+    def poll(self, timeout_s: float) -> list[Packet]:
+        """Wait until something happens, at most `timeout_s`, and return all messages that came.
+
+        Also connects, reconnects, sends what could not be sent before, and forgets silent remote ends.
+        """
+        now = self._clock()
+        wait_s = max(0.0, min([timeout_s, *(due - now for due in self._service_at.values())]))
+        packets: list[Packet] = []
+        for key, events in self._selector.select(wait_s):
+            link = key.data
+            if link is None:
+                self._drain_wakes()
+                continue
+            now = self._clock()
+            if events & selectors.EVENT_READ:
+                packets.extend(self._receive(link, now))
+            if events & selectors.EVENT_WRITE:
+                link.write_ready(now)
+            if not link.up:
+                self._service_at[link] = now
+        now = self._clock()
+        for link, due in self._service_at.items():
+            if due <= now:
+                self._service_at[link] = link.service(now)
+        return packets
+
+    def _receive(self, link: Link, now: float) -> Iterator[Packet]:
+        for peer, data in link.read(now):
+            for message in peer.channel.receive(data):
+                yield Packet(link, peer, message, now)
+
+    def send(self, link: Link, message: dialect.MAVLink_message, peer: Peer | None = None) -> bool:
+        """Pack a message with our identity and send it.
+
+        Parameters
+        ----------
+        peer : Peer, optional
+            One remote end of the link; all of them if None.
+
+        Returns
+        -------
+        bool
+            False if it went to nobody: the link is down, knows no remote end, or its buffer is full.
+        """
+        sent = False
+        for remote in link.peers if peer is None else (peer,):
+            self._packer.seq = remote.sequence
+            if link.transmit(message.pack(self._packer), remote):
+                remote.sequence = (remote.sequence + 1) % 256
+                sent = True
+        return sent
+
+    def forward(self, link: Link, frame: bytes, peer: Peer | None = None) -> bool:
+        """Send the raw bytes of another system's frame, unchanged; as `send` otherwise."""
+        sent = False
+        for remote in link.peers if peer is None else (peer,):
+            sent |= link.transmit(frame, remote)
+        return sent
+
+    def wake(self) -> None:
+        """Make `poll` return soon. For any thread."""
+        # Full: a wake-up is under way already. Closed: nobody polls any more.
+        with contextlib.suppress(BlockingIOError, OSError):
+            self._wake_sender.send(b"w")
+
+    def _drain_wakes(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while self._wake_receiver.recv(4096):
+                pass
+        # Perhaps it was the resolver, and a link can be opened now.
+        for link in self._links:
+            if not link.up:
+                self._service_at[link] = float("-inf")
+
+    def close(self) -> None:
+        """Close all links."""
+        for link in self._links:
+            link.close()
+        self._links.clear()
+        self._service_at.clear()
+        self._selector.close()
+        self._wake_receiver.close()
+        self._wake_sender.close()
+
+    def __enter__(self) -> LinkHub:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
