@@ -1,0 +1,214 @@
+"""Time from a device's join to its goal on the ROS graph and to the position target on the wire.
+
+Planner, bridge and simulated aircraft run as processes. A relay between bridge and aircraft, in this process, sees the
+moment at which a changed position target passes, without any of the project's MAVLink code. Devices join one at a time
+beside those that are there from the start, close enough to a present cell to change its goal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import selectors
+import socket
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+import yaml
+from ament_index_python.packages import get_package_prefix
+from geometry_msgs.msg import Point, PoseStamped
+from jpap_msgs.msg import Deployment, Device, DeviceUpdate, VehicleState
+from jpap_msgs.srv import FleetCommand
+from rclpy.executors import SingleThreadedExecutor
+
+from jpap_ros.demo.processes import Children
+from jpap_ros.nodes.qos import DEVICES, LATCHED
+
+SET_POSITION_TARGET_GLOBAL_INT = 86
+
+
+class Relay(threading.Thread):
+    """Pass datagrams between the bridge's and the aircraft's ports, noting each change of a vehicle's target."""
+
+    def __init__(self, pairs: list[tuple[int, int]]) -> None:
+        super().__init__(daemon=True)
+        self.changes: list[float] = []
+        self._targets: dict[int, bytes] = {}
+        self._selector = selectors.DefaultSelector()
+        for aircraft_port, bridge_port in pairs:
+            near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            near.bind(("127.0.0.1", aircraft_port))
+            far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            far.connect(("127.0.0.1", bridge_port))
+            ends = {"near": near, "far": far, "aircraft": None, "id": bridge_port}
+            self._selector.register(near, selectors.EVENT_READ, (ends, True))
+            self._selector.register(far, selectors.EVENT_READ, (ends, False))
+
+    def run(self) -> None:
+        """Relay for ever; the process ends it."""
+        while True:
+            for key, _ in self._selector.select():
+                ends, from_aircraft = key.data
+                try:
+                    data, source = key.fileobj.recvfrom(65536)
+                    if from_aircraft:
+                        ends["aircraft"] = source
+                        ends["far"].send(data)
+                    elif ends["aircraft"]:
+                        self._note(ends["id"], data)
+                        ends["near"].sendto(data, ends["aircraft"])
+                except ConnectionRefusedError:
+                    pass  # the bridge is not up yet
+
+    def _note(self, vehicle: int, data: bytes) -> None:
+        # A MAVLink 2 frame: magic, length, 2 flags, sequence, 2 ids, 3 bytes of message id, payload, checksum.
+        at = 0
+        while at + 12 <= len(data) and data[at] == 0xFD:
+            length = data[at + 1]
+            if int.from_bytes(data[at + 7 : at + 10], "little") == SET_POSITION_TARGET_GLOBAL_INT:
+                target = data[at + 14 : at + 26]  # lat_int, lon_int, alt, after time_boot_ms
+                if self._targets.get(vehicle) != target:
+                    self._targets[vehicle] = target
+                    self.changes.append(time.monotonic())
+            at += 12 + length + (13 if data[at + 2] & 1 else 0)
+
+
+class Watch:
+    """The operator's node: reports devices, and notes when goals are published."""
+
+    def __init__(self, uavs: list[str]) -> None:
+        self.node = rclpy.create_node("latency")
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.publisher = self.node.create_publisher(DeviceUpdate, "devices", DEVICES)
+        self.plan: Deployment | None = None
+        self.states: dict[str, VehicleState] = {}
+        self.goals: dict[str, tuple[float, float]] = {}
+        self.changes: list[float] = []
+        self.node.create_subscription(Deployment, "deployment", self._on_plan, LATCHED)
+        for name in uavs:
+            self.node.create_subscription(VehicleState, f"{name}/state", self._on_state, LATCHED)
+            self.node.create_subscription(
+                PoseStamped, f"{name}/goal_pose", lambda m, name=name: self._on_goal(name, m), LATCHED
+            )
+        self.launch = self.node.create_client(FleetCommand, "bridge/launch")
+
+    def _on_plan(self, message: Deployment) -> None:
+        self.plan = message
+
+    def _on_state(self, message: VehicleState) -> None:
+        self.states[message.uav] = message
+
+    def _on_goal(self, name: str, message: PoseStamped) -> None:
+        goal = (message.pose.position.x, message.pose.position.y)
+        if self.goals.get(name) != goal:
+            self.goals[name] = goal
+            self.changes.append(time.monotonic())
+
+    def join(self, devices: dict[str, tuple[float, float, float]]) -> None:
+        update = DeviceUpdate()
+        update.header.frame_id = "map"
+        update.devices = [
+            Device(id=i, position=Point(x=x, y=y), rate_demand=r, weight=1.0) for i, (x, y, r) in devices.items()
+        ]
+        self.publisher.publish(update)
+
+    def wait(self, condition, what: str, timeout_s: float = 60.0) -> None:
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline:
+                raise SystemExit(f"waited in vain for {what}")
+            self.executor.spin_once(timeout_sec=0.005)
+
+    def settled(self) -> bool:
+        """Whether every cell's aircraft is at its goal of the present plan."""
+        return self.plan is not None and all(
+            (state := self.states.get(cell.uav)) is not None
+            and state.goal_plan_id == self.plan.plan_id
+            and state.goal_state == VehicleState.GOAL_REACHED
+            for cell in self.plan.cells
+        )
+
+
+def measure(devices: int, uavs: int, joins: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds from join to goal and from join to wire, for each join that changed a flying aircraft's goal."""
+    rng = np.random.default_rng(seed)
+    ports = _free_ports(2 * uavs)
+    names = [f"uav{i + 1}" for i in range(uavs)]
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        for file, used in (("bridge.yaml", ports[:uavs]), ("sim.yaml", ports[uavs:])):
+            entries = [
+                {"name": n, "sysid": i + 1, "url": f"udpin:127.0.0.1:{p}", "home_m": [10.0 * (i % 6), 10.0 * (i // 6)]}
+                for i, (n, p) in enumerate(zip(names, used, strict=True))
+            ]
+            (work / file).write_text(
+                yaml.safe_dump({"version": 1, "origin": {"latitude": -37.8, "longitude": 145.0}, "uavs": entries})
+            )
+        relay = Relay(list(zip(ports[uavs:], ports[:uavs], strict=True)))
+        relay.start()
+        programs = Path(get_package_prefix("jpap_ros")) / "lib" / "jpap_ros"
+        rclpy.init(args=[])
+        with Children(work) as children:
+            for name, file in (("sim", "sim.yaml"), ("bridge", "bridge.yaml"), ("planner", "bridge.yaml")):
+                extra = ["-p", "speedup:=5.0"] if name == "sim" else []
+                children.start(name, [str(programs / name), "--ros-args", "-p", f"fleet_file:={work / file}", *extra])
+            watch = Watch(names)
+            watch.wait(lambda: watch.publisher.get_subscription_count() and watch.launch.service_is_ready(), "nodes")
+            positions = rng.uniform(-400, 400, (devices, 2))
+            rates = rng.uniform(11, 15, devices)
+            present = {f"d{k}": (*positions[k], rates[k]) for k in range(devices)}
+            watch.join(present)
+            watch.wait(lambda: watch.plan and not watch.plan.unserved and watch.plan.cells, "a plan for all devices")
+            answer = watch.launch.call_async(FleetCommand.Request())
+            watch.wait(answer.done, "take-off", 120)
+            watch.wait(watch.settled, "the fleet at its goals", 120)
+            to_goal, to_wire = [], []
+            for join in range(joins):
+                goals, wires = len(watch.changes), len(relay.changes)
+                near = positions[rng.integers(devices)] + rng.normal(0, 15, 2)
+                plan = watch.plan.plan_id
+                started = time.monotonic()
+                watch.join({f"join{join}": (*near, rng.uniform(11, 12))})
+                watch.wait(lambda plan=plan: watch.plan.plan_id > plan, "a new plan")
+                watch.wait(lambda n=goals: len(watch.changes) > n, "a new goal", 5)
+                watch.wait(lambda n=wires: len(relay.changes) > n, "a new target on the wire", 5)
+                to_goal.append(watch.changes[goals] - started)
+                to_wire.append(relay.changes[wires] - started)
+                watch.wait(watch.settled, "the fleet at its goals", 120)
+        rclpy.try_shutdown()
+    return np.array(to_goal), np.array(to_wire)
+
+
+def _free_ports(count: int) -> list[int]:
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for sock in sockets:
+        sock.bind(("127.0.0.1", 0))
+    ports = [sock.getsockname()[1] for sock in sockets]
+    for sock in sockets:
+        sock.close()
+    return ports
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="scripts/bench latency", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--devices", type=int, default=40)
+    parser.add_argument("--uavs", type=int, default=15)
+    parser.add_argument("--joins", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    to_goal, to_wire = measure(options.devices, options.uavs, options.joins, options.seed)
+    for label, values in (("join -> goal published", to_goal), ("join -> target on the wire", to_wire)):
+        p50, p90, p99, worst = np.percentile(1000 * values, [50, 90, 99, 100])
+        print(f"{label:28s} n={len(values)}  p50 {p50:.1f} ms  p90 {p90:.1f}  p99 {p99:.1f}  max {worst:.1f}")
+
+
+if __name__ == "__main__":
+    main()
