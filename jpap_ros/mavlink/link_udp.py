@@ -72,10 +72,11 @@ class UdpListener(UdpLink):
             family, _, _, _, address = socket.getaddrinfo(url.host, url.port, type=socket.SOCK_DGRAM)[0]
             sock = self._open(family)
             sock.bind(address)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             if sock is not None:
                 sock.close()
-            raise OSError(error.errno, f"{url}: cannot listen: {error.strerror}") from None
+            reason = error.strerror if isinstance(error, OSError) else f"{url.host!r} is not a host name"
+            raise OSError(f"{url}: cannot listen: {reason}") from None
         self._start(sock)
 
     @property

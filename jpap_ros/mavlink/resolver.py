@@ -49,6 +49,6 @@ class Resolver:
 def _look_up(host: str, port: int) -> Address | None:
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-    except OSError:
+    except (OSError, UnicodeError):
         return None
     return family, address  # type: ignore[return-value]
