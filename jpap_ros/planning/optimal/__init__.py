@@ -1,0 +1,5 @@
+"""P1 solved with proof: the smallest fleet, then the largest average UAV rate. Derived in docs/optimal.md."""
+
+from jpap_ros.planning.optimal.scheme import optimal
+
+__all__ = ["optimal"]
