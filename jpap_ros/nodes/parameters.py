@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
@@ -63,6 +66,8 @@ class Param:
         """What is wrong with a value, or None."""
         if self.choices and value not in self.choices:
             return f"parameter {self.name} must be one of {', '.join(self.choices)}, got {value!r}"
+        if isinstance(value, float) and not math.isfinite(value):
+            return f"parameter {self.name} must be finite, got {value!r}"
         problem = self.check(value) if self.check else None
         return f"parameter {self.name}: {problem}" if problem else None
 
@@ -110,3 +115,17 @@ def declare(node: Node, params: Iterable[Param], changed: Callable[[dict[str, An
 def values(node: Node, params: Iterable[Param]) -> dict[str, Any]:
     """Present values of declared parameters, by name."""
     return {param.name: node.get_parameter(param.name).value for param in params}
+
+
+def fleet_file() -> Param:
+    """Return the parameter that every node shares; its default is the example that comes with the package."""
+    try:
+        share = Path(get_package_share_directory("jpap_ros"))
+    except PackageNotFoundError as error:
+        raise StartError(f"{error}; source the workspace's setup file") from None
+    return Param(
+        "fleet_file",
+        str(share / "config" / "fleet_example.yaml"),
+        "Path of the fleet file (YAML), the same for planner, bridge and sim",
+        fixed=True,
+    )

@@ -1,4 +1,388 @@
-def main():
-    import sys
+"""The planner node: from device reports to the deployment, goals and power allocations of a named fleet."""
 
-    print("ok", sys.argv)
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from jpap_msgs.msg import Deployment, DeviceUpdate, GeoDeviceUpdate, PowerAllocation, VehicleState
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.lifecycle import LifecyclePublisher
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
+from jpap_ros.fleet.config import load_fleet
+from jpap_ros.fleet.events import Events
+from jpap_ros.fleet.plan import PlanSettings, plan_fleet
+from jpap_ros.mavlink.geodesy import LocalFrame
+from jpap_ros.nodes import conversions
+from jpap_ros.nodes.lifecycle import ManagedNode
+from jpap_ros.nodes.parameters import declare, values
+from jpap_ros.nodes.planner_diagnostics import PlannerHealth
+from jpap_ros.nodes.planner_parameters import PLAN_PARAMETERS, plan_settings, planner_parameters
+from jpap_ros.nodes.process import run
+from jpap_ros.nodes.qos import DEVICES, LATCHED
+from jpap_ros.nodes.worker import Worker
+from jpap_ros.planning.devices import Changes, Device, DeviceTable, Fault
+
+#: At the end, how long to wait for a plan that is being made [s].
+_STOP_PATIENCE_S = 2.0
+
+#: More faults than these are counted but neither remembered nor logged: random ids must not fill memory or disk.
+_MAX_REMEMBERED_FAULTS = 1000
+
+
+@dataclass(frozen=True)
+class _Job:
+    """All that a plan depends on, as it was when planning began; and what the plan answers."""
+
+    devices: tuple[Device, ...]
+    settings: PlanSettings
+    aircraft: tuple[Aircraft, ...]
+    present: tuple[FleetCell, ...]
+    events: Events
+    waiting: tuple[Future, ...]
+    first_event_s: float
+    started_s: float
+
+
+def _plan(job: _Job) -> FleetPlan:
+    return plan_fleet(job.devices, job.settings, job.aircraft, job.present)
+
+
+class PlannerNode(ManagedNode):
+    """Keeps the device table, plans in a worker when something happened, and publishes what comes out.
+
+    Every accepted event is answered by a deployment whose reason names it, even where the plan stays the same.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("planner")
+        self._params = planner_parameters()
+        declare(self, self._params, self._on_parameters)
+        self._table = DeviceTable()
+        self._faults: dict[tuple[str, str], Fault] = {}
+        self._refused: set[str] = set()
+        self._events = Events()
+        self._waiting: list[Future] = []
+        self._first_event_s: float | None = None
+        self._states: dict[str, VehicleState] = {}
+        self._health = PlannerHealth()
+        self._worker: Worker[_Job, FleetPlan] | None = None
+        self._in_work: _Job | None = None
+        self._overdue = False
+        self._made = ExitStack()
+
+    # Transitions
+
+    def configure(self) -> None:
+        """Read the fleet file and begin to listen, so that no device event is lost before activation."""
+        self._settings = values(self, self._params)
+        self._fleet = load_fleet(self._settings["fleet_file"])
+        self._frame = LocalFrame(self._fleet.origin)
+        self._deployment_out = self._publisher(Deployment, "deployment")
+        self._goals_out = {name: self._publisher(PoseStamped, f"{name}/goal_pose") for name in self._fleet.names}
+        self._powers_out = {
+            name: self._publisher(PowerAllocation, f"{name}/power_allocation") for name in self._fleet.names
+        }
+        self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._made.callback(self.destroy_publisher, self._diagnostics_out)
+        self._subscribe(DeviceUpdate, "devices", self._on_devices, DEVICES)
+        self._subscribe(GeoDeviceUpdate, "geo_devices", self._on_geo_devices, DEVICES)
+        for name in self._fleet.names:
+            self._subscribe(VehicleState, f"{name}/state", partial(self._on_state, name), LATCHED)
+        # The answer waits for a plan: in a group of its own it holds up nothing else.
+        group = ReentrantCallbackGroup()
+        replan = self.create_service(Trigger, "planner/replan", self._on_replan, callback_group=group)
+        self._made.callback(self.destroy_service, replan)
+        # Steady time: neither a simulated clock that stands still nor a jump of the system's may delay a plan.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._quiet = self.create_timer(1.0, self._on_quiet, clock=steady, autostart=False)
+        every_second = self.create_timer(1.0, self._on_second, clock=steady)
+        self._result = self.create_guard_condition(self._on_result)
+        self._made.callback(self.destroy_timer, self._quiet)
+        self._made.callback(self.destroy_timer, every_second)
+        self._made.callback(self.destroy_guard_condition, self._result)
+
+    def activate(self) -> None:
+        """Plan for what is known already."""
+        self._worker = Worker("planning", _plan, self._result.trigger)
+        topics = " and ".join(self.resolve_topic_name(topic) for topic in ("devices", "geo_devices"))
+        self.get_logger().info(
+            f"listening to {topics}; {len(self._fleet.names)} UAVs of {self._settings['fleet_file']}, "
+            f"scheme {self._settings['scheme']}"
+        )
+        if self._events:
+            self._touch()
+
+    def deactivate(self) -> None:
+        """Stop planning; go on listening."""
+        self._stop_worker()
+
+    def cleanup(self) -> None:
+        """Stop listening and forget everything."""
+        self._made.close()
+        self._table = DeviceTable()
+        self._faults.clear()
+        self._refused.clear()
+        self._events = Events()
+        self._states.clear()
+        self._health = PlannerHealth(plan_id=self._health.plan_id)
+
+    def destroy_node(self) -> None:
+        """Stop planning and leave the graph."""
+        self._stop_worker()
+        super().destroy_node()
+
+    # Events
+
+    def _on_devices(self, message: DeviceUpdate) -> None:
+        if message.header.frame_id == self._settings["map_frame"]:
+            self._take_in(message, conversions.devices_of(message))
+            return
+        self._health.faults += 1
+        frame = message.header.frame_id
+        if frame not in self._refused and len(self._refused) < _MAX_REMEMBERED_FAULTS:
+            self._refused.add(frame)
+            self.get_logger().warning(
+                f"refused a device report: header.frame_id must be {self._settings['map_frame']!r}, got {frame!r}"
+            )
+
+    def _on_geo_devices(self, message: GeoDeviceUpdate) -> None:
+        self._take_in(message, conversions.geo_devices_of(message, self._frame))
+
+    def _take_in(self, message: DeviceUpdate | GeoDeviceUpdate, reported: Sequence[Device | Fault]) -> None:
+        changes = self._table.apply(reported, message.departed, snapshot=message.snapshot, now_s=time.monotonic())
+        self._note_faults(reported, changes)
+        if changes:
+            self._events.add_changes(changes)
+            self._touch()
+
+    def _note_faults(self, reported: Sequence[Device | Fault], changes: Changes) -> None:
+        """Say each distinct fault once, until its device reports well again."""
+        wrong = {fault.id for fault in changes.faults}
+        mended = {entry.id for entry in reported if entry.id not in wrong} | set(changes.left)
+        if self._faults:
+            self._faults = {key: fault for key, fault in self._faults.items() if fault.id not in mended}
+        self._health.faults += len(changes.faults)
+        new = [fault for fault in changes.faults if (fault.id, fault.field) not in self._faults]
+        room = _MAX_REMEMBERED_FAULTS - len(self._faults)
+        self._faults.update({(fault.id, fault.field): fault for fault in new[:room]})
+        if new[:room]:
+            self.get_logger().warning(f"ignored in a device report: {conversions.listed(new[:room])}")
+
+    def _on_state(self, name: str, state: VehicleState) -> None:
+        before = self._aircraft(name)
+        self._states[name] = state
+        after = self._aircraft(name)
+        # A restarted planner counts on from the plans that aircraft still follow.
+        self._health.plan_id = max(self._health.plan_id, state.goal_plan_id)
+        if before.available == after.available:
+            return
+        self.get_logger().info(f"{name} {after.unavailable or 'is available'}")
+        plan = self._health.plan
+        has_cell = plan is not None and any(cell.uav == name for cell in plan.cells)
+        wanted = plan is not None and plan.uavs_needed > len(plan.cells)
+        if self._in_work is not None or (wanted if after.available else has_cell):
+            self._events.add(f"{name} {after.unavailable or 'is available'}")
+            self._touch()
+
+    def _on_parameters(self, changed: dict[str, Any]) -> None:
+        self._settings = values(self, self._params)
+        names = sorted(PLAN_PARAMETERS & changed.keys())
+        if names and (self._health.plan is not None or self._in_work is not None):
+            for name in names:
+                self._events.add(f"parameter {name} is now {changed[name]}")
+            self._touch()
+
+    async def _on_replan(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self.active:
+            response.message = "the planner is not active"
+            return response
+        answer: Future = Future()
+        self._waiting.append(answer)
+        self._events.add("operator asked")
+        self._touch(at_once=True)
+        response.success, response.message = await answer
+        return response
+
+    def _on_second(self) -> None:
+        timeout_s = self._settings["device_timeout_s"]
+        if timeout_s and (silent := self._table.expire(time.monotonic(), timeout_s)):
+            self.get_logger().info(f"no report for {timeout_s:g} s, taken as left: {conversions.listed(silent)}")
+            self._faults = {key: fault for key, fault in self._faults.items() if fault.id not in silent}
+            self._events.add_silent(len(silent))
+            self._touch()
+        health = self._health
+        health.active = self.active
+        health.pending = self._in_work is not None or bool(self._events)
+        health.devices = len(self._table)
+        health.ignored = len({fault.id for fault in self._faults.values()})
+        health.fleet = len(self._fleet.names)
+        health.available = sum(self._aircraft(name).available for name in self._fleet.names)
+        status = health.status(f"{self.get_fully_qualified_name()}: deployment", time.monotonic())
+        self._diagnostics_out.publish(DiagnosticArray(header=self._header(), status=[status]))
+
+    # Planning
+
+    def _touch(self, at_once: bool = False) -> None:
+        """Plan once events have stopped coming, or when the first of them has waited for long enough."""
+        now = time.monotonic()
+        if self._first_event_s is None:
+            self._first_event_s = now
+        if not self.active:
+            return
+        left_s = self._first_event_s + self._settings["debounce_max_s"] - now
+        wait_s = 0.0 if at_once else min(self._settings["debounce_s"], left_s)
+        if wait_s <= 0:
+            self._on_quiet()
+            return
+        self._quiet.timer_period_ns = int(wait_s * 1e9)
+        self._quiet.reset()
+
+    def _on_quiet(self) -> None:
+        self._quiet.cancel()
+        if not self.active or not self._events:
+            return
+        if self._in_work is not None:
+            self._overdue = True
+            return
+        assert self._worker is not None and self._first_event_s is not None
+        plan = self._health.plan
+        job = _Job(
+            devices=self._table.devices,
+            settings=plan_settings(self._settings),
+            aircraft=tuple(self._aircraft(name) for name in self._fleet.names),
+            present=plan.cells if plan is not None else (),
+            events=self._events,
+            waiting=tuple(self._waiting),
+            first_event_s=self._first_event_s,
+            started_s=time.monotonic(),
+        )
+        self._events, self._waiting, self._first_event_s = Events(), [], None
+        self._in_work, self._overdue = job, False
+        self._worker.submit(job)
+
+    def _on_result(self) -> None:
+        if self._worker is None or (finished := self._worker.take()) is None:
+            return
+        job, result = finished
+        self._in_work = None
+        if isinstance(result, Exception):
+            self._keep(job, result)
+        else:
+            self._publish(job, result)
+        if self._overdue:
+            self._on_quiet()
+
+    def _keep(self, job: _Job, error: Exception) -> None:
+        """Planning failed: the last good plan stays in force, and the next one answers for these events too."""
+        self._events.merge(job.events)
+        if self._first_event_s is None:
+            self._first_event_s = time.monotonic()
+        self._health.failure = str(error) if isinstance(error, ValueError) else repr(error)
+        message = f"planning failed, the last good plan stays in force: {self._health.failure}"
+        self.get_logger().error(message)
+        self._answer(job.waiting, False, message)
+
+    def _publish(self, job: _Job, plan: FleetPlan) -> None:
+        health = self._health
+        health.plan_id += 1
+        header = self._header()
+        altitude_m = job.settings.link.altitude_m
+        now = time.monotonic()
+        message = conversions.deployment_message(
+            plan, header, health.plan_id, str(job.events), altitude_m, now - job.started_s
+        )
+        # The deployment first: whoever gets a goal can look up what it belongs to.
+        self._deployment_out.publish(message)
+        before = health.plan
+        had_cell = {cell.uav for cell in before.cells} if before is not None else set()
+        for cell in plan.cells:
+            if cell.uav:
+                self._goals_out[cell.uav].publish(conversions.goal_pose(cell, header, altitude_m))
+                self._powers_out[cell.uav].publish(conversions.power_allocation(cell.uav, cell, header, health.plan_id))
+        for name in sorted(had_cell - {cell.uav for cell in plan.cells} - {""}):
+            self._powers_out[name].publish(conversions.power_allocation(name, None, header, health.plan_id))
+        health.plan, health.plan_made_s, health.failure = plan, now, ""
+        health.planning_s, health.latency_s = now - job.started_s, time.monotonic() - job.first_event_s
+        self.get_logger().info(
+            f"plan {health.plan_id} ({job.events}): {plan.summary()}; planned in {health.planning_s * 1e3:.1f} ms"
+        )
+        self._warn_unserved(job, plan, before)
+        self._answer(job.waiting, True, f"plan {health.plan_id}: {plan.summary()}")
+
+    def _warn_unserved(self, job: _Job, plan: FleetPlan, before: FleetPlan | None) -> None:
+        """Name each device that is newly left out, with its demand, once."""
+        known = dict(before.unserved) if before is not None else {}
+        demand = {device.id: device.rate_demand for device in job.devices}
+        new = [
+            f"device {name!r}: rate_demand {demand[name]:.6g} bit/s: {reason}"
+            for name, reason in plan.unserved
+            if known.get(name) != reason
+        ]
+        if new:
+            self.get_logger().warning(f"not served: {conversions.listed(new)}")
+
+    def _answer(self, waiting: Iterable[Future], success: bool, message: str) -> None:
+        for future in waiting:
+            future.set_result((success, message))
+
+    def _stop_worker(self) -> None:
+        if self._worker is None:
+            return
+        if not self._worker.stop(_STOP_PATIENCE_S):
+            self.get_logger().warning(f"planning did not end within {_STOP_PATIENCE_S:g} s; its result is dropped")
+        self._worker = None
+        self._quiet.cancel()
+        if self._in_work is not None:
+            self._events.merge(self._in_work.events)
+            self._waiting.extend(self._in_work.waiting)
+            self._in_work = None
+        self._overdue = False
+        self._answer(self._waiting, False, "the planner was deactivated")
+        self._waiting = []
+
+    # The rest
+
+    def _aircraft(self, name: str) -> Aircraft:
+        plan = self._health.plan
+        goal = next((cell for cell in plan.cells if cell.uav == name), None) if plan is not None else None
+        return conversions.aircraft_of(self._fleet[name], self._states.get(name), goal)
+
+    def _header(self) -> Header:
+        return Header(stamp=self.get_clock().now().to_msg(), frame_id=self._settings["map_frame"])
+
+    def _publisher(self, kind: type, topic: str) -> LifecyclePublisher[Any]:
+        publisher = self.create_lifecycle_publisher(kind, topic, LATCHED)
+        self._made.callback(self.destroy_lifecycle_publisher, publisher)
+        return publisher
+
+    def _subscribe(self, kind: type, topic: str, callback: Any, qos: QoSProfile) -> None:
+        subscription = self.create_subscription(kind, topic, callback, qos)
+        self._made.callback(self.destroy_subscription, subscription)
+
+
+def make_planner() -> PlannerNode:
+    """Make the node; bring it up unless its parameter `autostart` is false."""
+    node = PlannerNode()
+    if node.get_parameter("autostart").value:
+        node.bring_up()
+    return node
+
+
+def main() -> None:
+    """Run the planner as a process."""
+    sys.exit(run(make_planner))

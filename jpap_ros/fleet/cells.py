@@ -1,0 +1,90 @@
+"""What a plan says to the fleet: cells with the names of the aircraft that fly them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Aircraft:
+    """One aircraft as the planner sees it.
+
+    Attributes
+    ----------
+    name : str
+        Name in the fleet file.
+    position : tuple of float
+        Where it is, or where it is believed to be: east and north [m].
+    connected : bool
+        Whether its telemetry arrives.
+    unavailable : str
+        Why it can take no cell, in words; empty if it can.
+    """
+
+    name: str
+    position: tuple[float, float]
+    connected: bool = False
+    unavailable: str = ""
+
+    @property
+    def available(self) -> bool:
+        """Whether it can be given a cell."""
+        return not self.unavailable
+
+
+@dataclass(frozen=True)
+class FleetCell:
+    """A named aircraft with the devices it serves.
+
+    Attributes
+    ----------
+    uav : str
+        Empty if no aircraft is left for this cell.
+    position : tuple of float
+        East and north of the goal [m].
+    device_ids : tuple of str
+    power_w, rate : tuple of float
+        For each device: transmit power [W] and rate [bit/s].
+    coverage_radius_m : float
+        Common coverage radius [m]; NaN where the scheme has none.
+    """
+
+    uav: str
+    position: tuple[float, float]
+    device_ids: tuple[str, ...]
+    power_w: tuple[float, ...]
+    rate: tuple[float, ...]
+    coverage_radius_m: float = math.nan
+
+    @property
+    def uav_rate(self) -> float:
+        """Sum of the devices' rates [bit/s]."""
+        return math.fsum(self.rate)
+
+
+@dataclass(frozen=True)
+class FleetPlan:
+    """Every cell, and every device that is left out; fields as in `jpap_ros.planning.Deployment`, rates in bit/s."""
+
+    cells: tuple[FleetCell, ...]
+    unserved: tuple[tuple[str, str], ...]
+    uavs_needed: int
+    min_uavs_bound: int | None
+    proven_optimal: bool
+    scheme: str
+
+    @property
+    def average_uav_rate(self) -> float:
+        """Mean of the cells' rates [bit/s]; NaN without cells."""
+        return math.fsum(cell.uav_rate for cell in self.cells) / len(self.cells) if self.cells else math.nan
+
+    def summary(self) -> str:
+        """Say it in words."""
+        served = sum(len(cell.device_ids) for cell in self.cells)
+        text = f"{len(self.cells)} UAVs serve {served} devices"
+        if self.unserved:
+            text += f", {len(self.unserved)} unserved"
+        if self.uavs_needed > len(self.cells):
+            text += f", {self.uavs_needed} UAVs needed"
+        return text

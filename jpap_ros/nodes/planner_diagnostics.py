@@ -1,0 +1,103 @@
+"""How the planner is doing, as a diagnostic status whose level asks for the operator's attention when it should."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from jpap_ros.fleet.cells import FleetPlan
+
+
+@dataclass
+class PlannerHealth:
+    """What the planner knows of itself.
+
+    Attributes
+    ----------
+    active : bool
+        Lifecycle state.
+    plan : FleetPlan or None
+        The plan in force.
+    plan_id : int
+    plan_made_s : float
+        When the plan in force was published, monotonic [s].
+    planning_s : float
+        Time that planning took [s].
+    latency_s : float
+        From the first event that the plan answers to its publication [s].
+    pending : bool
+        Whether events wait for a plan, or one is being made.
+    failure : str
+        What went wrong when planning last; empty after a success.
+    devices : int
+        Devices in the table.
+    ignored : int
+        Devices whose newest report is wrong.
+    faults : int
+        Wrong reports so far.
+    available, fleet : int
+        UAVs that can take a cell, and all.
+    """
+
+    active: bool = False
+    plan: FleetPlan | None = None
+    plan_id: int = 0
+    plan_made_s: float = math.nan
+    planning_s: float = math.nan
+    latency_s: float = math.nan
+    pending: bool = False
+    failure: str = ""
+    devices: int = 0
+    ignored: int = 0
+    faults: int = 0
+    available: int = 0
+    fleet: int = 0
+
+    def problems(self) -> list[str]:
+        """Everything that an operator should look at, in words."""
+        problems = []
+        if self.plan is not None and self.plan.unserved:
+            problems.append(f"{len(self.plan.unserved)} devices are not served")
+        if self.plan is not None and self.plan.uavs_needed > self.available:
+            problems.append(f"{self.plan.uavs_needed} UAVs are needed, {self.available} are available")
+        if self.ignored:
+            problems.append(f"the newest reports of {self.ignored} devices are wrong and ignored")
+        return problems
+
+    def status(self, name: str, now_s: float) -> DiagnosticStatus:
+        """Return the status: ERROR where planning failed, WARN where something lacks, else OK."""
+        problems = self.problems()
+        if self.failure:
+            level, message = DiagnosticStatus.ERROR, f"planning failed, the last good plan stays: {self.failure}"
+        elif problems:
+            level, message = DiagnosticStatus.WARN, "; ".join(problems)
+        elif not self.active:
+            level, message = DiagnosticStatus.OK, "inactive"
+        elif self.plan is None:
+            level, message = DiagnosticStatus.OK, "no device yet"
+        else:
+            level, message = DiagnosticStatus.OK, self.plan.summary()
+        unserved: Sequence[object] = self.plan.unserved if self.plan is not None else ()
+        figures = {
+            "plan id": self.plan_id,
+            "plan age [s]": f"{now_s - self.plan_made_s:.3f}",
+            "planning time [s]": f"{self.planning_s:.6f}",
+            "latency from event to goals [s]": f"{self.latency_s:.6f}",
+            "planning pending": self.pending,
+            "devices": self.devices,
+            "devices unserved": len(unserved),
+            "devices with wrong newest report": self.ignored,
+            "wrong reports so far": self.faults,
+            "UAVs available": self.available,
+            "UAVs in fleet": self.fleet,
+            "UAVs needed": self.plan.uavs_needed if self.plan is not None else 0,
+        }
+        return DiagnosticStatus(
+            level=level,
+            name=name,
+            message=message,
+            values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
+        )

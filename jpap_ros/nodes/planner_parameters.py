@@ -1,0 +1,72 @@
+"""The planner's parameters, and the planning settings that follow from them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from jpap_ros.fleet.plan import PlanSettings
+from jpap_ros.nodes.parameters import Param, fleet_file
+from jpap_ros.planning import SCHEMES, LinkBudget
+
+_LINK = LinkBudget()
+
+
+def planner_parameters() -> tuple[Param, ...]:
+    """Return every parameter of the planner."""
+    return (
+        fleet_file(),
+        Param("autostart", True, "Configure and activate at start, without a lifecycle manager", fixed=True),
+        Param("map_frame", "map", "Frame of positions: ENU, origin as in the fleet file", check=_frame, fixed=True),
+        Param("scheme", "jpap", "Algorithm that makes the deployment", choices=tuple(SCHEMES)),
+        Param("transmit_power_dbm", _LINK.transmit_power_dbm, "Total transmit power of one UAV [dBm]", -50.0, 100.0),
+        Param("noise_power_dbm", _LINK.noise_power_dbm, "Noise power at a device [dBm]", -200.0, 0.0),
+        Param("reference_gain_db", _LINK.reference_gain_db, "Channel gain at 1 m [dB]", -150.0, 0.0),
+        Param("altitude_m", _LINK.altitude_m, "Height of every goal above the map's ground [m]", 1.0, 5000.0),
+        Param("bandwidth_hz", 1.0, "Bandwidth of a device's channel; divides demands in bit/s [Hz]", 1e-3, 1e12),
+        Param("max_devices_per_uav", 0, "Most devices that one UAV serves; 0: no limit", 0, 100_000),
+        Param("min_separation_m", 0.0, "Least horizontal distance between two goals [m]", 0.0, 10_000.0),
+        Param("time_limit_s", 10.0, "Longest time for one plan; 0: no limit [s]", 0.0, 3600.0),
+        Param(
+            "debounce_s",
+            0.02,
+            "Quiet time after an event before planning: a burst makes one plan [s]",
+            0.0,
+            60.0,
+        ),
+        Param("debounce_max_s", 0.2, "Longest time that a stream of events can put planning off [s]", 0.0, 600.0),
+        Param("device_timeout_s", 0.0, "A device not reported for so long has left; 0: never [s]", 0.0, 1e7),
+    )
+
+
+#: Parameters whose change makes another plan.
+PLAN_PARAMETERS = frozenset(
+    {
+        "scheme",
+        "transmit_power_dbm",
+        "noise_power_dbm",
+        "reference_gain_db",
+        "altitude_m",
+        "bandwidth_hz",
+        "max_devices_per_uav",
+        "min_separation_m",
+        "time_limit_s",
+    }
+)
+
+
+def plan_settings(values: dict[str, Any]) -> PlanSettings:
+    """Planning settings of parameter values by name; 0 means no limit there."""
+    return PlanSettings(
+        scheme=values["scheme"],
+        link=LinkBudget(
+            values["transmit_power_dbm"], values["noise_power_dbm"], values["reference_gain_db"], values["altitude_m"]
+        ),
+        bandwidth_hz=values["bandwidth_hz"],
+        max_devices_per_uav=values["max_devices_per_uav"] or None,
+        min_separation_m=values["min_separation_m"],
+        time_limit_s=values["time_limit_s"] or None,
+    )
+
+
+def _frame(value: str) -> str | None:
+    return None if value else f"must not be empty, got {value!r}"
