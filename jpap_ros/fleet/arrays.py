@@ -18,6 +18,14 @@ def points(name: str, value: ArrayLike, dimensions: int) -> Floats:
     return _checked(name, array, np.isfinite(array), "finite")
 
 
+def point(name: str, value: ArrayLike, dimensions: int) -> Floats:
+    """Return a (dimensions,) array of finite numbers; ValueError that names argument, index and value."""
+    array = _numbers(name, value)
+    if array.shape != (dimensions,):
+        raise ValueError(f"{name} must have shape ({dimensions},), got {array.shape}")
+    return _checked(name, array, np.isfinite(array), "finite")
+
+
 def vector(name: str, value: ArrayLike, count: int) -> Floats:
     """Return a (count,) array of numbers >= 0, infinity allowed; ValueError that names argument, index and value."""
     array = _numbers(name, value)

@@ -1,0 +1,229 @@
+"""Where every aircraft is to be at every moment of a transition, and how near they come to each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+
+import numpy as np
+
+from jpap_ros.fleet.arrays import Floats
+from jpap_ros.fleet.separation_check import polyline_distance, synchronous_distance
+from jpap_ros.fleet.time_law import TimeLaw
+
+
+@dataclass(frozen=True)
+class TransitLimits:
+    """What a transition has to keep to.
+
+    Attributes
+    ----------
+    min_separation_m : float
+        Least distance in space between any two aircraft in the air [m].
+    tracking_error_m : float
+        Farthest that an aircraft may be from its moving setpoint [m]; twice this is added to the separation.
+    speed_m_s, vertical_speed_m_s, acceleration_m_s2 : float
+        What every aircraft can do; below what its autopilot is configured for, so that it can follow.
+    min_altitude_m, max_altitude_m : float
+        Range of the altitude layers that aircraft may be sent through [m], z of the map frame.
+    """
+
+    min_separation_m: float = 10.0
+    tracking_error_m: float = 1.0
+    speed_m_s: float = 5.0
+    vertical_speed_m_s: float = 1.5
+    acceleration_m_s2: float = 1.0
+    min_altitude_m: float = 20.0
+    max_altitude_m: float = 120.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+                raise ValueError(f"{item.name} must be a finite number, got {value!r}")
+        for name in ("min_separation_m", "tracking_error_m"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} must be >= 0, got {getattr(self, name)!r}")
+        for name in ("speed_m_s", "vertical_speed_m_s", "acceleration_m_s2"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be > 0, got {getattr(self, name)!r}")
+        if self.max_altitude_m < self.min_altitude_m:
+            raise ValueError(f"max_altitude_m is {self.max_altitude_m}, below min_altitude_m {self.min_altitude_m}")
+
+    @property
+    def planned_separation_m(self) -> float:
+        """Distance that setpoints keep, so that aircraft off their setpoints still keep `min_separation_m` [m]."""
+        return self.min_separation_m + 2 * self.tracking_error_m
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """What does not obey: an aircraft that fell silent, one that a pilot flies, one of somebody else.
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    position : tuple of float
+        (east, north, up) [m], the highest point.
+    bottom_m : float
+        z down to which the column below `position` is closed too [m]: an aircraft that fell silent may be landing.
+    radius_m : float
+        How far from there it may be [m].
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    bottom_m: float = 0.0
+    radius_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        numbers = (*self.position, self.bottom_m, self.radius_m)
+        if len(self.position) != 3 or not all(math.isfinite(value) for value in numbers) or self.radius_m < 0:
+            raise ValueError(f"obstacle {self.name}: position, bottom_m and radius_m must be finite, got {numbers}")
+
+    @cached_property
+    def column(self) -> Floats:
+        """Segment that is closed, (2, 3) [m]."""
+        east, north, up = self.position
+        return np.array([[east, north, min(self.bottom_m, up)], [east, north, up]])
+
+
+@dataclass(frozen=True, eq=False)
+class Convoy:
+    """Aircraft on one clock: at each moment all of them have flown the same share of their present leg.
+
+    Attributes
+    ----------
+    names : tuple of str
+        m aircraft.
+    waypoints : (L + 1, m, 3) float
+        Ends of the L legs of each [m].
+    laws : tuple of TimeLaw
+        One for each leg.
+    """
+
+    names: tuple[str, ...]
+    waypoints: Floats
+    laws: tuple[TimeLaw, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Time until all of them are at their last waypoint [s]."""
+        return sum(law.duration_s for law in self.laws)
+
+    def at(self, time_s: float) -> tuple[Floats, Floats]:
+        """Positions [m] and velocities [m/s] of all aircraft, (m, 3) each."""
+        leg, elapsed = self._leg(time_s)
+        if leg is None:
+            return self.waypoints[-1], np.zeros_like(self.waypoints[-1])
+        s, speed = self.laws[leg].at(elapsed)
+        along = self.waypoints[leg + 1] - self.waypoints[leg]
+        return self.waypoints[leg] + s * along, speed * along
+
+    def stop(self, time_s: float) -> Convoy:
+        """Return what is left when all slow down at once: a part of the present leg."""
+        leg, elapsed = self._leg(time_s)
+        if leg is None:
+            return Convoy(self.names, self.waypoints[-1:], ())
+        start, end, law = self.laws[leg].braking(elapsed)
+        along = self.waypoints[leg + 1] - self.waypoints[leg]
+        waypoints = self.waypoints[leg] + np.array([start, end])[:, None, None] * along
+        return Convoy(self.names, waypoints[:1], ()) if law is None else Convoy(self.names, waypoints, (law,))
+
+    def _leg(self, time_s: float) -> tuple[int | None, float]:
+        elapsed = max(time_s, 0.0)
+        for leg, law in enumerate(self.laws):
+            if elapsed < law.duration_s:
+                return leg, elapsed
+            elapsed -= law.duration_s
+        return None, 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TransitPlan:
+    """A transition of the whole fleet in the air; made by `plan_transit`, which has checked it.
+
+    Attributes
+    ----------
+    convoys : tuple of Convoy
+        Every aircraft is in exactly one. Aircraft of different convoys need no common clock: their paths stay apart.
+    held : mapping of str to str
+        Aircraft that stay where they are because no separated path to their goal was found, and why.
+    """
+
+    convoys: tuple[Convoy, ...]
+    held: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def _places(self) -> dict[str, tuple[Convoy, int]]:
+        return {name: (convoy, index) for convoy in self.convoys for index, name in enumerate(convoy.names)}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every aircraft of the plan."""
+        return tuple(self._places)
+
+    @property
+    def duration_s(self) -> float:
+        """Time until the last aircraft is where it should be [s]."""
+        return max((convoy.duration_s for convoy in self.convoys), default=0.0)
+
+    def arrival_s(self, name: str) -> float:
+        """Time until an aircraft's convoy is where it should be [s]."""
+        return self._places[name][0].duration_s
+
+    def position(self, name: str, time_s: float) -> Floats:
+        """Setpoint of an aircraft at a time since the start, (3,) [m]."""
+        convoy, index = self._places[name]
+        setpoint: Floats = convoy.at(time_s)[0][index]
+        return setpoint
+
+    def velocity(self, name: str, time_s: float) -> Floats:
+        """Velocity of that setpoint, (3,) [m/s]."""
+        convoy, index = self._places[name]
+        velocity: Floats = convoy.at(time_s)[1][index]
+        return velocity
+
+    def path(self, name: str) -> Floats:
+        """Corners of an aircraft's path, (L + 1, 3) [m]."""
+        convoy, index = self._places[name]
+        return convoy.waypoints[:, index]
+
+    def stop(self, time_s: float) -> TransitPlan:
+        """Return the plan that brings every aircraft to rest from a moment of this one.
+
+        Nobody leaves the path that has been checked, and within a convoy all slow down on their common clock, so the
+        separation of this plan holds for that one.
+        """
+        return TransitPlan(tuple(convoy.stop(time_s) for convoy in self.convoys))
+
+
+def minimum_separation(plan: TransitPlan, obstacles: Sequence[Obstacle] = ()) -> float:
+    """Least distance in space [m] that the plan's setpoints ever have, exactly; infinite for a lone aircraft.
+
+    Within a convoy the common clock counts. Between convoys, and to obstacles (less their radius), it is the distance
+    of the paths, so it holds whatever the clocks do.
+    """
+    least = math.inf
+    for convoy in plan.convoys:
+        first, second = np.triu_indices(len(convoy.names), k=1)
+        for start, end in zip(convoy.waypoints[:-1], convoy.waypoints[1:], strict=True):
+            if len(first):
+                apart = synchronous_distance(start[first], end[first], start[second], end[second])
+                least = min(least, float(apart.min()))
+        if len(first):
+            still = convoy.waypoints[-1]
+            least = min(least, float(np.linalg.norm(still[first] - still[second], axis=1).min()))
+    names = plan.names
+    for index, name in enumerate(names):
+        path = plan.path(name)
+        convoy = plan._places[name][0]
+        for other in names[index + 1 :]:
+            if plan._places[other][0] is not convoy:
+                least = min(least, polyline_distance(path, plan.path(other)))
+        for obstacle in obstacles:
+            least = min(least, polyline_distance(path, obstacle.column) - obstacle.radius_m)
+    return least

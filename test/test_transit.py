@@ -1,0 +1,236 @@
+"""Transitions keep aircraft apart.
+
+Oracles: dense sampling in time of the setpoints that would be streamed, which knows nothing of closed forms, convoys
+or layers; finite differences of the same samples for speed and acceleration; CAPT's theorem for whether straight lines
+are enough; distances worked out by hand.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jpap_ros.fleet.assignment import assign
+from jpap_ros.fleet.separation_check import polyline_distance, segment_distance
+from jpap_ros.fleet.transit import plan_transit
+from jpap_ros.fleet.transit_plan import Obstacle, TransitLimits, minimum_separation
+
+LIMITS = TransitLimits(min_separation_m=10.0, tracking_error_m=1.0)
+
+
+def spaced(rng, count, side, spacing):
+    """Points in a square, at 50 m, none nearer than `spacing` to another."""
+    found = []
+    while len(found) < count:
+        candidate = rng.uniform(0, side, 2)
+        if all(math.dist(candidate, other) >= spacing for other in found):
+            found.append(candidate)
+    return np.column_stack([np.array(found), np.full(count, 50.0)])
+
+
+def by_name(rows):
+    return {f"uav{i}": row for i, row in enumerate(rows)}
+
+
+def sampled(plan, step_s=0.1):
+    """Setpoints (T, n, 3) on a dense grid of times."""
+    times = np.arange(0.0, plan.duration_s + 2 * step_s, step_s)
+    return np.array([[plan.position(name, t) for name in plan.names] for t in times])
+
+
+def sampled_separation(track, obstacles=()):
+    least = math.inf
+    first, second = np.triu_indices(track.shape[1], k=1)
+    if len(first):
+        least = float(np.linalg.norm(track[:, first] - track[:, second], axis=2).min())
+    for obstacle in obstacles:
+        east, north, top = obstacle.position
+        height = np.clip(track[..., 2], obstacle.bottom_m, top)
+        apart = np.hypot(np.hypot(track[..., 0] - east, track[..., 1] - north), track[..., 2] - height)
+        least = min(least, float(apart.min()) - obstacle.radius_m)
+    return least
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(1, 9),
+    side=st.sampled_from([40.0, 90.0, 250.0]),
+    obstacle_count=st.integers(0, 2),
+    spread_m=st.sampled_from([0.0, 25.0]),
+)
+def test_no_transition_comes_nearer_than_the_limit_or_than_it_began(seed, count, side, obstacle_count, spread_m):
+    rng = np.random.default_rng(seed)
+    starts, goals = rng.uniform(0, side, (2, count, 3)) * (1, 1, 0) + (0, 0, 50)
+    starts[:, 2] += rng.uniform(-spread_m, spread_m, count)
+    goals = np.where(rng.random((count, 1)) < 0.2, starts, goals)
+    obstacles = [
+        Obstacle(f"silent{i}", (*rng.uniform(0, side, 2), 50.0), bottom_m=rng.choice([0.0, 50.0]), radius_m=2.0)
+        for i in range(obstacle_count)
+    ]
+    plan = plan_transit(by_name(starts), by_name(goals), LIMITS, obstacles)
+    track = sampled(plan, 0.2)
+    began = sampled_separation(track[:1], obstacles)
+    seen = sampled_separation(track, obstacles)
+    assert seen >= min(LIMITS.min_separation_m, began) - 1e-6
+    assert minimum_separation(plan, obstacles) <= seen + 1e-9
+    assert minimum_separation(plan, obstacles) >= min(LIMITS.min_separation_m, began) - 1e-6
+    for index, name in enumerate(plan.names):
+        start, goal = by_name(starts)[name], by_name(goals)[name]
+        assert np.array_equal(track[0, index], start)
+        assert np.array_equal(track[-1, index], start if name in plan.held else goal)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 14), side=st.sampled_from([110.0, 300.0]))
+def test_capt_needs_one_straight_leg_each(seed, count, side):
+    rng = np.random.default_rng(seed)
+    spacing = math.sqrt(2) * LIMITS.planned_separation_m
+    starts, goals = spaced(rng, count, side, spacing), spaced(rng, count, side, spacing)
+    goals = goals[assign(starts[:, :2], goals[:, :2])]
+    plan = plan_transit(by_name(starts), by_name(goals), LIMITS)
+    assert not plan.held
+    assert all(len(convoy.laws) == 1 for convoy in plan.convoys)
+    assert sampled_separation(sampled(plan)) >= LIMITS.planned_separation_m - 1e-6
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 12))
+def test_any_permutation_of_spaced_places_is_flown(seed, count):
+    """Theorem 2 of docs/replanning.md: where columns are clear and there are layers enough, nobody is held."""
+    rng = np.random.default_rng(seed)
+    starts = spaced(rng, count, 150.0, LIMITS.planned_separation_m)
+    plan = plan_transit(
+        by_name(starts), by_name(starts[rng.permutation(count)]), TransitLimits(10.0, 1.0, max_altitude_m=200.0)
+    )
+    assert not plan.held
+    assert sampled_separation(sampled(plan)) >= LIMITS.planned_separation_m - 1e-6
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 1.0))
+def test_speed_and_acceleration_are_bounded_also_when_stopped_on_the_way(seed, share):
+    rng = np.random.default_rng(seed)
+    starts, goals = spaced(rng, 5, 200.0, 12.0), spaced(rng, 5, 200.0, 12.0)
+    plan = plan_transit(by_name(starts), by_name(goals), LIMITS)
+    moment = share * plan.duration_s
+    stopping = plan.stop(moment)
+    streamed = [*np.arange(0.0, moment, 0.02)]
+    track = np.array(
+        [[plan.position(name, t) for name in plan.names] for t in streamed]
+        + [[stopping.position(name, t) for name in plan.names] for t in np.arange(0.0, stopping.duration_s + 0.1, 0.02)]
+    )
+    joint = len(streamed)  # the sample before the stop lies less than a step earlier
+    for part in (track[:joint], track[joint:]):
+        if len(part) < 3:
+            continue
+        velocity = np.diff(part, axis=0) / 0.02
+        acceleration = np.diff(velocity, axis=0) / 0.02
+        assert np.linalg.norm(velocity[..., :2], axis=2).max() <= LIMITS.speed_m_s + 1e-6
+        assert np.abs(velocity[..., 2]).max() <= LIMITS.vertical_speed_m_s + 1e-6
+        assert np.linalg.norm(acceleration, axis=2).max() <= LIMITS.acceleration_m_s2 * 1.01 + 1e-6
+    if joint:
+        assert np.linalg.norm(track[joint] - track[joint - 1], axis=1).max() <= LIMITS.speed_m_s * 0.0201
+    assert np.allclose([stopping.velocity(name, 0.0) for name in plan.names], _velocity(plan, moment), atol=1e-6)
+    assert sampled_separation(track) >= LIMITS.planned_separation_m - 1e-6
+
+
+def _velocity(plan, moment):
+    return [plan.velocity(name, moment) for name in plan.names]
+
+
+def test_duration_by_hand():
+    # 100 m at 5 m/s with 1 m/s^2: 5 s and 12.5 m to get up to speed, the same to stop, 75 m in 15 s between.
+    plan = plan_transit({"a": (0, 0, 50)}, {"a": (100, 0, 50)}, LIMITS)
+    assert plan.duration_s == pytest.approx(25.0)
+    assert plan.position("a", 5.0) == pytest.approx((12.5, 0, 50))
+    assert plan.velocity("a", 10.0) == pytest.approx((5, 0, 0))
+    # 9 m is too short to get up to speed: 3 s up to 3 m/s and 3 s down.
+    assert plan_transit({"a": (0, 0, 50)}, {"a": (9, 0, 50)}, LIMITS).duration_s == pytest.approx(6.0)
+
+
+def test_two_that_swap_places_pass_on_layers():
+    starts = {"a": (0, 0, 50), "b": (100, 0, 50)}
+    plan = plan_transit(starts, {"a": (100, 0, 50), "b": (0, 0, 50)}, LIMITS)
+    assert not plan.held
+    assert minimum_separation(plan) == pytest.approx(12.0, abs=1e-6)
+
+
+def test_one_hovering_in_the_way_is_passed_above():
+    plan = plan_transit({"a": (0, 0, 50), "b": (50, 0, 50)}, {"a": (100, 0, 50)}, LIMITS)
+    assert plan.path("a")[:, 2].max() == pytest.approx(62.0)
+    assert (plan.path("b") == (50, 0, 50)).all()
+
+
+def test_aircraft_far_apart_do_not_wait_for_one_another():
+    plan = plan_transit({"a": (0, 0, 50), "b": (0, 500, 50)}, {"a": (20, 0, 50), "b": (2000, 500, 50)}, LIMITS)
+    assert plan.arrival_s("a") < 15 < 400 < plan.arrival_s("b")
+
+
+def test_too_near_at_the_start_may_only_part():
+    starts = {"a": (0, 0, 50), "b": (4, 0, 50)}
+    apart = plan_transit(starts, {"a": (-50, 0, 50), "b": (50, 0, 50)}, LIMITS)
+    assert not apart.held
+    assert minimum_separation(apart) == pytest.approx(4.0, abs=1e-6)
+    across = plan_transit(starts, {"a": (50, 0, 50), "b": (-50, 0, 50)}, LIMITS)
+    assert minimum_separation(across) == pytest.approx(4.0, abs=1e-6)
+
+
+def test_a_silent_aircraft_at_the_goal_makes_the_other_hold_and_says_so():
+    silent = Obstacle("uav9", (100.0, 3.0, 50.0))
+    plan = plan_transit({"a": (0, 0, 50)}, {"a": (100, 0, 50)}, LIMITS, [silent])
+    assert "uav9" in plan.held["a"]
+    assert (plan.position("a", 1e3) == (0, 0, 50)).all()
+
+
+def test_goals_nearer_than_the_limit_make_one_hold():
+    plan = plan_transit({"a": (0, 0, 50), "b": (100, 0, 50)}, {"a": (48, 0, 50), "b": (52, 0, 50)}, LIMITS)
+    assert len(plan.held) == 1
+
+
+def test_column_below_a_silent_aircraft_is_closed_and_the_air_above_is_not():
+    silent = Obstacle("uav9", (50.0, 0.0, 50.0), bottom_m=0.0)
+    plan = plan_transit({"a": (0, 0, 30)}, {"a": (100, 0, 30)}, LIMITS, [silent])
+    assert not plan.held
+    assert plan.path("a")[:, 2].max() >= 62.0
+
+
+def test_distances_by_hand():
+    a = np.array([[0.0, 0, 0], [10, 0, 0]])
+    assert polyline_distance(a, np.array([[5.0, -5, 3], [5, 5, 3]])) == pytest.approx(3.0)  # skew lines
+    assert polyline_distance(a, np.array([[12.0, 2, 1]])) == pytest.approx(3.0)  # past the end
+    assert polyline_distance(a, np.array([[-5.0, 4, 0], [20, 4, 0]])) == pytest.approx(4.0)  # parallel
+    assert polyline_distance(a, np.array([[13.0, 4, 0], [20, 4, 0]])) == pytest.approx(5.0)  # parallel, apart
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.integers(-6, 6).map(float), min_size=12, max_size=12))
+def test_segment_distance_against_a_dense_grid(numbers):
+    a0, a1, b0, b1 = np.array(numbers).reshape(4, 3)
+    share = np.linspace(0, 1, 81)[:, None]
+    grid = np.linalg.norm((a0 + share * (a1 - a0))[:, None] - (b0 + share * (b1 - b0))[None], axis=2).min()
+    exact = float(segment_distance(a0, a1, b0, b1))
+    spacing = (np.linalg.norm(a1 - a0) + np.linalg.norm(b1 - b0)) / 160
+    assert grid - spacing - 1e-9 <= exact <= grid + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: plan_transit({"a": (0, 0, math.nan)}, {}, LIMITS), r"starts\['a'\]\[2\] must be finite, got nan"),
+        (lambda: plan_transit({"a": (0, 0)}, {}, LIMITS), r"starts\['a'\] must have shape \(3,\), got \(2,\)"),
+        (lambda: plan_transit({}, {"a": (0, 0, 0)}, LIMITS), "goals has 'a', which has no start"),
+        (lambda: TransitLimits(min_separation_m=-1), "min_separation_m must be >= 0, got -1"),
+        (lambda: TransitLimits(speed_m_s=0), "speed_m_s must be > 0, got 0"),
+        (lambda: TransitLimits(max_altitude_m=10), "max_altitude_m is 10, below min_altitude_m 20.0"),
+        (lambda: TransitLimits(tracking_error_m=math.inf), "tracking_error_m must be a finite number, got inf"),
+        (lambda: Obstacle("x", (0, 0, math.inf)), "obstacle x: position, bottom_m and radius_m must be finite"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
