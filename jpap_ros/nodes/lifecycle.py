@@ -14,12 +14,13 @@ class ManagedNode(LifecycleNode):
     """A lifecycle node whose transitions are four plain methods that raise when they fail.
 
     Subclasses override `configure`, `activate`, `deactivate` and `cleanup`. rclpy itself drops the exception of a
-    failed transition; here it is logged, and `bring_up` raises it.
+    failed transition; here it is logged, or raised by `bring_up`.
     """
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self._failure: Exception | None = None
+        self._bringing_up = False
         self.active = False
 
     def configure(self) -> None:
@@ -42,16 +43,18 @@ class ManagedNode(LifecycleNode):
         Exception
             What `configure` or `activate` raised.
         """
+        self._bringing_up = True
         for transition in (self.trigger_configure, self.trigger_activate):
             if transition() != TransitionCallbackReturn.SUCCESS:
                 raise self._failure or StartError(f"{self.get_name()} could not be configured and activated")
+        self._bringing_up = False
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Configure; on a failure the node stays unconfigured."""
         try:
             self.configure()
         except Exception as error:
-            self._log_failure("configure", error)
+            self._keep_failure("configure", error)
             self.cleanup()
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
@@ -64,7 +67,7 @@ class ManagedNode(LifecycleNode):
         try:
             self.activate()
         except Exception as error:
-            self._log_failure("activate", error)
+            self._keep_failure("activate", error)
             self.active = False
             super().on_deactivate(state)
             return TransitionCallbackReturn.FAILURE
@@ -88,7 +91,9 @@ class ManagedNode(LifecycleNode):
         self.cleanup()
         return super().on_shutdown(state)
 
-    def _log_failure(self, what: str, error: Exception) -> None:
+    def _keep_failure(self, what: str, error: Exception) -> None:
         self._failure = error
+        if self._bringing_up:
+            return
         expected = isinstance(error, (StartError, FleetFileError))
         self.get_logger().error(f"cannot {what}: {error}" if expected else f"cannot {what}: {error!r}")

@@ -69,6 +69,8 @@ class PlannerNode(ManagedNode):
     """
 
     def __init__(self) -> None:
+        # First, because rclpy destroys a node whose making was refused.
+        self._worker: Worker[_Job, FleetPlan] | None = None
         super().__init__("planner")
         self._params = planner_parameters()
         declare(self, self._params, self._on_parameters)
@@ -80,7 +82,6 @@ class PlannerNode(ManagedNode):
         self._first_event_s: float | None = None
         self._states: dict[str, VehicleState] = {}
         self._health = PlannerHealth()
-        self._worker: Worker[_Job, FleetPlan] | None = None
         self._in_work: _Job | None = None
         self._overdue = False
         self._made = ExitStack()
