@@ -6,9 +6,12 @@ import selectors
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from jpap_ros.fleet.config import LinkUrl
 from jpap_ros.mavlink.channel import Channel
+from jpap_ros.mavlink.signing import Signer
+from jpap_ros.mavlink.statistics import LinkStatistics
 
 
 @dataclass(frozen=True)
@@ -17,6 +20,10 @@ class LinkOptions:
 
     Attributes
     ----------
+    signer : Signer or None
+        Signs what is sent and checks what comes; None for an unsigned link. Links with one key share one signer.
+    max_bytes_per_s : float or None
+        Limit of what is sent [byte/s]; None for no limit. Frames forwarded for others give way to our own.
     max_peers : int
         Of a `udpin` link: senders remembered at a time; others are not heard until one falls silent.
     forget_peer_s : float
@@ -29,6 +36,8 @@ class LinkOptions:
         Bytes kept for a remote end that does not read; further frames are dropped whole.
     """
 
+    signer: Signer | None = None
+    max_bytes_per_s: float | None = None
     max_peers: int = 512
     forget_peer_s: float = 60.0
     connect_timeout_s: float = 5.0
@@ -42,25 +51,30 @@ class Peer:
 
     Attributes
     ----------
-    address : tuple of (str, int) or None
-        Its UDP or TCP address; None on a serial link.
+    address : tuple or None
+        Its UDP or TCP socket address, beginning with host and port; None on a serial link.
     channel : Channel
         Parser of what comes from it.
     sequence : int
         Of the next message of ours to it. Counted per remote end, so that it sees no gaps.
-    last_heard : float
-        Monotonic time [s] of its last bytes; minus infinity if none came.
+    first_heard, last_heard : float
+        Monotonic time [s] of its first bytes and of its last good message; minus infinity if none came.
     """
 
-    __slots__ = ("_name", "address", "channel", "last_heard", "sequence", "socket_address")
+    __slots__ = ("_name", "address", "channel", "first_heard", "last_heard", "sequence")
 
-    def __init__(self, name: str, address: tuple[str, int] | None, socket_address: object = None) -> None:
+    def __init__(self, name: str, address: tuple[Any, ...] | None, statistics: LinkStatistics) -> None:
         self._name = name
         self.address = address
-        self.socket_address = socket_address
-        self.channel = Channel()
+        self.channel = Channel(statistics)
         self.sequence = 0
+        self.first_heard = float("-inf")
         self.last_heard = float("-inf")
+
+    @property
+    def trusted(self) -> bool:
+        """Whether a good message came from it, correctly signed where the link asks for that."""
+        return self.last_heard > float("-inf")
 
     def __str__(self) -> str:
         return self._name
@@ -78,6 +92,7 @@ class Link(ABC):
     options : LinkOptions
     index : int
         Number of the link within its hub, from 0.
+    statistics : LinkStatistics
     reconnects : int
         Connections made after the first.
     problem : str
@@ -88,6 +103,7 @@ class Link(ABC):
         self.url = url
         self.options = options
         self.index = index
+        self.statistics = LinkStatistics()
         self.reconnects = 0
         self.problem = ""
         self._selector = selector
@@ -100,7 +116,7 @@ class Link(ABC):
     @property
     @abstractmethod
     def peers(self) -> tuple[Peer, ...]:
-        """Remote ends known now."""
+        """Remote ends that messages for all go to."""
 
     @abstractmethod
     def service(self, now: float) -> float:
@@ -108,7 +124,7 @@ class Link(ABC):
 
     @abstractmethod
     def read(self, now: float) -> Iterator[tuple[Peer, memoryview]]:
-        """Read what is ready, a bounded amount; the views are valid until the next step."""
+        """Read what is ready, a bounded amount; each view is valid until the next one is asked for."""
 
     @abstractmethod
     def write_ready(self, now: float) -> None:

@@ -24,7 +24,7 @@ class StreamLink(Link):
     def __init__(self, url: LinkUrl, options: LinkOptions, index: int, selector: selectors.BaseSelector) -> None:
         super().__init__(url, options, index, selector)
         self.problem = "not connected yet"
-        self._peer = Peer(str(url), None if url.kind == "serial" else (url.host, url.port))
+        self._peer = Peer(str(url), None if url.kind == "serial" else (url.host, url.port), self.statistics)
         self._fd: int | None = None
         self._open = False
         self._opened_before = False
@@ -60,7 +60,6 @@ class StreamLink(Link):
         if not data:
             self._break(now, "closed by the other side")
             return
-        self._peer.last_heard = now
         yield self._peer, memoryview(data)
 
     def transmit(self, data: bytes, peer: Peer) -> bool:

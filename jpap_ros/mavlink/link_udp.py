@@ -6,6 +6,7 @@ import contextlib
 import selectors
 import socket
 from collections.abc import Iterator
+from typing import Any
 
 from jpap_ros.fleet.config import LinkUrl
 from jpap_ros.mavlink.link import Link, LinkOptions, Peer
@@ -66,7 +67,7 @@ class UdpListener(UdpLink):
     def __init__(self, url: LinkUrl, options: LinkOptions, index: int, selector: selectors.BaseSelector) -> None:
         super().__init__(url, options, index, selector)
         self.refused_datagrams = 0
-        self._peers: dict[object, Peer] = {}
+        self._peers: dict[tuple[Any, ...], Peer] = {}
         sock = None
         try:
             family, _, _, _, address = socket.getaddrinfo(url.host, url.port, type=socket.SOCK_DGRAM)[0]
@@ -81,14 +82,15 @@ class UdpListener(UdpLink):
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """Senders heard lately."""
-        return tuple(self._peers.values())
+        """Senders of good messages; nothing is sent to an address for having sent us noise."""
+        return tuple(peer for peer in self._peers.values() if peer.trusted)
 
     def service(self, now: float) -> float:
         """Forget silent senders."""
         limit = now - self.options.forget_peer_s
-        for address in [key for key, peer in self._peers.items() if peer.last_heard < limit]:
-            del self._peers[address]
+        for address, peer in list(self._peers.items()):
+            if max(peer.first_heard, peer.last_heard) < limit:
+                del self._peers[address]
         return now + self.options.forget_peer_s / 4.0
 
     def read(self, now: float) -> Iterator[tuple[Peer, memoryview]]:
@@ -103,26 +105,30 @@ class UdpListener(UdpLink):
             except OSError:
                 # An ICMP error for something sent earlier; the socket itself is sound.
                 continue
-            peer = self._peers.get(address) or self._learn(address)
+            peer = self._peers.get(address) or self._learn(address, now)
             if peer is None:
                 self.refused_datagrams += 1
                 continue
-            peer.last_heard = now
             yield peer, _receive_buffer[:count]
 
-    def _learn(self, address: tuple[str, int]) -> Peer | None:
+    def _learn(self, address: tuple[Any, ...], now: float) -> Peer | None:
         if len(self._peers) >= self.options.max_peers:
-            return None
-        peer = Peer(f"{address[0]}:{address[1]}", address[:2], address)
+            oldest = min(self._peers, key=lambda key: (self._peers[key].last_heard, self._peers[key].first_heard))
+            if self._peers[oldest].trusted:
+                return None
+            # Noise from many addresses must not keep a vehicle out.
+            del self._peers[oldest]
+        peer = Peer(f"{address[0]}:{address[1]}", address, self.statistics)
+        peer.first_heard = now
         self._peers[address] = peer
         return peer
 
     def transmit(self, data: bytes, peer: Peer) -> bool:
         """Send one datagram to a sender heard before."""
-        if self._socket is None:
+        if self._socket is None or peer.address is None:
             return False
         try:
-            self._socket.sendto(data, peer.socket_address)  # type: ignore[call-overload]
+            self._socket.sendto(data, peer.address)
         except OSError:
             return False
         return True
@@ -136,7 +142,7 @@ class UdpSender(UdpLink):
     ) -> None:
         super().__init__(url, options, index, selector)
         self._resolver = resolver
-        self._peer = Peer(str(url), (url.host, url.port))
+        self._peer = Peer(str(url), (url.host, url.port), self.statistics)
         self.problem = "not open yet"
 
     @property
@@ -177,7 +183,6 @@ class UdpSender(UdpLink):
             except OSError:
                 # Connection refused: nobody listens there yet. Later datagrams may arrive.
                 continue
-            self._peer.last_heard = now
             yield self._peer, _receive_buffer[:count]
 
     def transmit(self, data: bytes, peer: Peer) -> bool:

@@ -17,13 +17,16 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from jpap_ros.fleet.config import LinkUrl
+from jpap_ros.mavlink.budget import TokenBucket
 from jpap_ros.mavlink.link import Link, LinkOptions, Peer
 from jpap_ros.mavlink.link_stream import SerialPort, TcpClient
 from jpap_ros.mavlink.link_udp import UdpListener, UdpSender
 from jpap_ros.mavlink.resolver import Resolver
+from jpap_ros.mavlink.signing import Verdict
 
 __all__ = ["Link", "LinkHub", "LinkOptions", "Packet", "Peer"]
 
+RADIO_STATUS = dialect.MAVLINK_MSG_ID_RADIO_STATUS
 COMPONENT_ID = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
 
 
@@ -64,6 +67,7 @@ class LinkHub:
         self._selector = selectors.DefaultSelector()
         self._links: list[Link] = []
         self._service_at: dict[Link, float] = {}
+        self._buckets: dict[Link, TokenBucket] = {}
         self._packer = dialect.MAVLink(None, srcSystem=sysid, srcComponent=component)
         self._wake_receiver, self._wake_sender = socket.socketpair()
         self._wake_receiver.setblocking(False)
@@ -97,6 +101,8 @@ class LinkHub:
             link = SerialPort(url, options, index, self._selector)
         self._links.append(link)
         self._service_at[link] = link.service(self._clock())
+        if options.max_bytes_per_s is not None:
+            self._buckets[link] = TokenBucket(options.max_bytes_per_s, self._clock())
         return link
 
     def poll(self, timeout_s: float) -> list[Packet]:
@@ -126,12 +132,27 @@ class LinkHub:
         return packets
 
     def _receive(self, link: Link, now: float) -> Iterator[Packet]:
+        statistics = link.statistics
+        signer = link.options.signer
         for peer, data in link.read(now):
             for message in peer.channel.receive(data):
+                frame = message.get_msgbuf()
+                if signer is None:
+                    peer.last_heard = now
+                else:
+                    verdict = signer.check(frame)
+                    if verdict is Verdict.GOOD:
+                        peer.last_heard = now
+                    # A telemetry radio adds its own reports and has no key; they do not make a sender trusted.
+                    elif verdict is not Verdict.UNSIGNED or message.get_msgId() != RADIO_STATUS:
+                        statistics.count_refused(verdict)
+                        continue
+                source = (message.get_srcSystem(), message.get_srcComponent())
+                statistics.count_received(source, message.get_seq(), len(frame), now)
                 yield Packet(link, peer, message, now)
 
     def send(self, link: Link, message: dialect.MAVLink_message, peer: Peer | None = None) -> bool:
-        """Pack a message with our identity and send it.
+        """Pack a message with our identity, sign it if the link has a key, and send it at once.
 
         Parameters
         ----------
@@ -142,21 +163,58 @@ class LinkHub:
         -------
         bool
             False if it went to nobody: the link is down, knows no remote end, or its buffer is full.
+
+        Raises
+        ------
+        struct.error
+            If a field's value does not fit its type.
         """
         sent = False
+        packer, signer = self._packer, link.options.signer
         for remote in link.peers if peer is None else (peer,):
-            self._packer.seq = remote.sequence
-            if link.transmit(message.pack(self._packer), remote):
+            packer.seq = remote.sequence
+            if signer is not None:
+                signer.sign(packer, link.index)
+            else:
+                packer.signing.sign_outgoing = False
+            if self._transmit(link, message.pack(packer), remote):
                 remote.sequence = (remote.sequence + 1) % 256
                 sent = True
+        link.statistics.dropped += not sent
         return sent
 
-    def forward(self, link: Link, frame: bytes, peer: Peer | None = None) -> bool:
-        """Send the raw bytes of another system's frame, unchanged; as `send` otherwise."""
+    def forward(self, link: Link, frame: bytes, peer: Peer | None = None, urgent: bool = False) -> bool:
+        """Send the raw bytes of another system's frame, unchanged.
+
+        Parameters
+        ----------
+        peer : Peer, optional
+            One remote end of the link; all of them if None.
+        urgent : bool
+            Not held back by the link's byte budget.
+
+        Returns
+        -------
+        bool
+            False if it went to nobody, as in `send`, or the budget has no room for it now.
+        """
         sent = False
+        bucket = self._buckets.get(link)
         for remote in link.peers if peer is None else (peer,):
-            sent |= link.transmit(frame, remote)
+            if bucket is not None and not urgent and not bucket.has(len(frame), self._clock()):
+                link.statistics.over_budget += 1
+                continue
+            sent |= self._transmit(link, frame, remote)
         return sent
+
+    def _transmit(self, link: Link, frame: bytes, peer: Peer) -> bool:
+        if not link.transmit(frame, peer):
+            return False
+        link.statistics.sent.add(len(frame), self._clock())
+        bucket = self._buckets.get(link)
+        if bucket is not None:
+            bucket.spend(len(frame))
+        return True
 
     def wake(self) -> None:
         """Make `poll` return soon. For any thread."""
@@ -177,8 +235,11 @@ class LinkHub:
         """Close all links."""
         for link in self._links:
             link.close()
+            if link.options.signer is not None:
+                link.options.signer.close()
         self._links.clear()
         self._service_at.clear()
+        self._buckets.clear()
         self._selector.close()
         self._wake_receiver.close()
         self._wake_sender.close()
