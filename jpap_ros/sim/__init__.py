@@ -1,1 +1,9 @@
-"""Simulated multirotors that speak MAVLink 2. Knows no ROS."""
+"""Simulated vehicles that speak MAVLink, one endpoint each, as stand-ins for real aircraft."""
+
+from jpap_ros.sim.dynamics import MotionLimits
+from jpap_ros.sim.fleet import SimFleet
+from jpap_ros.sim.options import Fence, LinkFaults, VehicleOptions
+from jpap_ros.sim.transport import SimError
+from jpap_ros.sim.vehicle import Received, SimVehicle
+
+__all__ = ["Fence", "LinkFaults", "MotionLimits", "Received", "SimError", "SimFleet", "SimVehicle", "VehicleOptions"]

@@ -1,0 +1,177 @@
+"""What an aircraft is doing: one small class a manoeuvre, stepped with simulated time."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from jpap_ros.sim.vehicle import SimVehicle
+
+Point = tuple[float, float, float]
+
+#: Nearer than this a turn towards the goal would only make the aircraft spin [m].
+FACE_GOAL_FROM_M = 2.0
+
+
+class Manoeuvre(ABC):
+    """One thing to do, until something else is asked for."""
+
+    #: Where it is going, (east, north, up) [m]; None where it goes nowhere.
+    goal: Point | None = None
+
+    @abstractmethod
+    def step(self, vehicle: SimVehicle, dt: float) -> None:
+        """Move the aircraft for `dt` seconds."""
+
+
+class Rest(Manoeuvre):
+    """Stand on the ground."""
+
+    def step(self, vehicle: SimVehicle, dt: float) -> None:
+        """Stay."""
+
+
+class FlyTo(Manoeuvre):
+    """Fly to a point and stay there.
+
+    Parameters
+    ----------
+    goal : tuple of float
+    yaw : float or None
+        Heading to hold [rad]; None: as `face_goal` says.
+    face_goal : bool
+        Without a yaw, look where it flies.
+    """
+
+    def __init__(self, goal: Point, yaw: float | None = None, face_goal: bool = False) -> None:
+        self.goal: Point = goal
+        self.yaw = yaw
+        self.face_goal = face_goal
+
+    def step(self, vehicle: SimVehicle, dt: float) -> None:
+        """Move towards the goal."""
+        body = vehicle.body
+        if vehicle.on_ground:
+            return
+        body.fly_to(self.goal, dt)
+        yaw = self.yaw
+        if yaw is None and self.face_goal:
+            dx, dy = self.goal[0] - body.x, self.goal[1] - body.y
+            if math.hypot(dx, dy) > FACE_GOAL_FROM_M:
+                yaw = math.atan2(dx, dy)
+        if yaw is not None and yaw != body.yaw:
+            body.turn_to(yaw, dt)
+
+
+class FlyAt(Manoeuvre):
+    """Fly with a velocity (east, north, up) [m/s] until `expires` on the wall clock, then stop."""
+
+    def __init__(self, velocity: Point, yaw: float | None, expires: float) -> None:
+        self.velocity = velocity
+        self.yaw = yaw
+        self.expires = expires
+
+    def step(self, vehicle: SimVehicle, dt: float) -> None:
+        """Keep the velocity."""
+        if vehicle.on_ground:
+            return
+        vehicle.body.fly_at(self.velocity if vehicle.now < self.expires else (0.0, 0.0, 0.0), dt)
+        if self.yaw is not None:
+            vehicle.body.turn_to(self.yaw, dt)
+        if vehicle.body.z <= 0.0:
+            vehicle.body.z = 0.0
+            vehicle.touch_down()
+
+
+class TakeOff(Manoeuvre):
+    """Spin up, climb straight to a height, and tell the vehicle when it is there."""
+
+    SPOOL_UP_S = 1.0
+
+    def __init__(self, goal: Point) -> None:
+        self.goal: Point = goal
+        self._spool_up = self.SPOOL_UP_S
+
+    def step(self, vehicle: SimVehicle, dt: float) -> None:
+        """Climb."""
+        if self._spool_up > 0.0:
+            self._spool_up -= dt
+            return
+        vehicle.on_ground = False
+        vehicle.body.fly_to(self.goal, dt)
+        if vehicle.body.position == self.goal:
+            vehicle.take_off_finished()
+
+
+class Land(Manoeuvre):
+    """Come down where it is, slowly near the ground, and disarm there."""
+
+    SLOW_BELOW_M = 10.0
+
+    def __init__(self, at: Point, speed: float, disarm_after_s: float) -> None:
+        self.goal: Point = (at[0], at[1], 0.0)
+        self._speed = speed
+        self._disarm_in = disarm_after_s
+
+    def step(self, vehicle: SimVehicle, dt: float) -> None:
+        """Descend; once down, count to the disarming."""
+        body = vehicle.body
+        if vehicle.on_ground:
+            self._disarm_in -= dt
+            if self._disarm_in <= 0.0 and vehicle.armed:
+                vehicle.disarm("landed")
+            return
+        fast = body.limits.descent
+        body.fly_to(self.goal, dt, descent=fast if body.z > self.SLOW_BELOW_M else min(fast, self._speed))
+        if body.z <= 0.0:
+            vehicle.touch_down()
+
+
+class ReturnHome(Manoeuvre):
+    """Climb to a height, fly home, wait, descend, land.
+
+    Parameters
+    ----------
+    start, home : tuple of float
+    height : float
+        Up coordinate to fly home at [m].
+    wait_s : float
+        Hovering time above home [s].
+    land : Land
+        What follows, above home.
+    """
+
+    def __init__(self, start: Point, home: Point, height: float, wait_s: float, land: Land) -> None:
+        self._legs: list[Point] = [(start[0], start[1], height), (home[0], home[1], height)]
+        self._wait = wait_s
+        self._land = land
+        self.goal: Point = self._legs[0]
+
+    def step(self, vehicle: SimVehicle, dt: float) -> None:
+        """Fly the next leg."""
+        if vehicle.on_ground or not self._legs:
+            self.goal = (self.goal[0], self.goal[1], 0.0)
+            self._land.step(vehicle, dt)
+            return
+        self.goal = self._legs[0]
+        vehicle.body.fly_to(self.goal, dt)
+        if vehicle.body.position != self.goal:
+            return
+        if len(self._legs) == 1 and self._wait > 0.0:
+            self._wait -= dt
+            return
+        del self._legs[0]
+
+
+class Fall(Manoeuvre):
+    """Drop without thrust."""
+
+    def step(self, vehicle: SimVehicle, dt: float) -> None:
+        """Fall to the ground."""
+        if vehicle.on_ground:
+            return
+        vehicle.body.fall(dt)
+        if vehicle.body.z <= 0.0:
+            vehicle.touch_down()
