@@ -1,0 +1,472 @@
+"""One aircraft in the bridge's care: what it hears, who commands it, and the target that goes out to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from jpap_ros.fleet.config import UavConfig
+from jpap_ros.mavlink.authority import Authority, Holder
+from jpap_ros.mavlink.autopilots import (
+    REGISTRY,
+    AltitudeDatum,
+    Autopilot,
+    Target,
+    TargetError,
+    Transport,
+    by_heartbeat,
+)
+from jpap_ros.mavlink.commands import CommandChannel, Pending
+from jpap_ros.mavlink.geodesy import LocalFrame
+from jpap_ros.mavlink.goals import Goal, GoalLife, GoalState
+from jpap_ros.mavlink.guards import (
+    GoalLimits,
+    GoalRefused,
+    PlanDeadman,
+    check_fence,
+    check_jump,
+    datum_problem,
+    target_of,
+)
+from jpap_ros.mavlink.streams import StreamRequests
+from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState, Vehicle
+
+#: Commands in a row without an answer, while the vehicle is heard well, before that is reported.
+UNANSWERED_SUSPICIOUS = 3
+#: The autopilot's words from this long before a takeover belong to it [s].
+WORDS_BEFORE_S = 5.0
+_MULTICOPTERS = frozenset(
+    {
+        mavlink.MAV_TYPE_QUADROTOR,
+        mavlink.MAV_TYPE_COAXIAL,
+        mavlink.MAV_TYPE_HELICOPTER,
+        mavlink.MAV_TYPE_HEXAROTOR,
+        mavlink.MAV_TYPE_OCTOROTOR,
+        mavlink.MAV_TYPE_TRICOPTER,
+        mavlink.MAV_TYPE_DODECAROTOR,
+        mavlink.MAV_TYPE_DECAROTOR,
+    }
+)
+
+#: A sequence of steps: yields whenever it has to wait, returns what was done, raises ProcedureFailed.
+Procedure = Generator[None, None, str]
+Done = Callable[[bool, str], None]
+
+
+class ProcedureFailed(Exception):
+    """A procedure ended without success; the message says why."""
+
+
+@dataclass(frozen=True)
+class AircraftSettings:
+    """How aircraft are flown; the same for the whole fleet.
+
+    Attributes
+    ----------
+    setpoint_rate_hz : float
+        Position targets a second to one aircraft; raised to what its autopilot needs.
+    arrival_radius_m : float
+        Goal reached within this distance [m].
+    takeoff_height_m : float
+        Above home [m].
+    link_timeout_s : float
+        Lost after this long without a heartbeat [s].
+    ready_timeout_s : float
+        How long a launch waits for GPS, home and pre-arm checks [s].
+    transport : Transport
+    limits : GoalLimits
+    """
+
+    setpoint_rate_hz: float = 2.0
+    arrival_radius_m: float = 1.0
+    takeoff_height_m: float = 10.0
+    link_timeout_s: float = 4.0
+    ready_timeout_s: float = 30.0
+    transport: Transport = Transport.SETPOINT
+    limits: GoalLimits = field(default_factory=GoalLimits)
+
+
+class Aircraft:
+    """Glue of the parts that concern one aircraft. No thread, no clock and no socket of its own.
+
+    Parameters
+    ----------
+    config : UavConfig
+    frame : LocalFrame
+    settings : AircraftSettings
+    own : (int, int)
+        System and component id of the bridge.
+    send : callable
+        Puts a message on the way to this aircraft.
+    deadman : PlanDeadman
+        Shared by the fleet.
+    """
+
+    def __init__(
+        self,
+        config: UavConfig,
+        frame: LocalFrame,
+        settings: AircraftSettings,
+        own: tuple[int, int],
+        send: Callable[[Any], object],
+        deadman: PlanDeadman,
+    ) -> None:
+        self.config = config
+        self.settings = settings
+        self.datum = AltitudeDatum(config.altitude_datum)
+        self.vehicle = Vehicle(config.sysid, settings.link_timeout_s)
+        self.autopilot: Autopilot | None = None
+        self.commands = CommandChannel(send, own, (config.sysid, AUTOPILOT_COMPONENT))
+        self.authority = Authority()
+        self.life = GoalLife(settings.arrival_radius_m)
+        #: Local clock at the last call of `hear` or `tick` [s].
+        self.now = 0.0
+        #: Position in the map frame (east, north, up) [m], in the goal's altitude datum; None: unknown.
+        self.enu_m: tuple[float, float, float] | None = None
+        #: Procedures set these: targets flow; they carry the planner's goals and not only the place to hold.
+        self.streaming = False
+        self.goals_open = False
+        #: Why the operator wants no goals flown; empty: goals may be flown.
+        self.held_because = ""
+        #: The operator took it out of the planner's hands: it flies home or lands.
+        self.recalled = False
+        #: Set by who knows the routes: the system id is heard from several addresses.
+        self.duplicates = ""
+        self._frame = frame
+        self._send = send
+        self._deadman = deadman
+        self._streams = StreamRequests(self.commands, send, (config.sysid, AUTOPILOT_COMPONENT))
+        self._procedure: tuple[Procedure, Done] | None = None
+        self._goal: Goal | None = None
+        self._goal_target: Target | None = None
+        self._goal_refused = ""
+        self._goal_begun = False
+        self._hold_target: Target | None = None
+        self._send_at = -math.inf
+        self._sent_target: Target | None = None
+        self._reposition: Pending | None = None
+        self._parting: Pending | None = None
+
+    # --- what the planner wants
+
+    @property
+    def goal(self) -> Goal | None:
+        """The goal that the planner last gave."""
+        return self._goal
+
+    def set_goal(self, goal: Goal) -> None:
+        """Give it a goal; what must not be flown is refused here, before anything is sent."""
+        if goal.same_place(self._goal):
+            self._goal = goal
+            return
+        self._goal = goal
+        self._goal_target = None
+        self._goal_refused = ""
+        self._goal_begun = False
+        self.life.distance_m = math.nan
+        try:
+            self._goal_target = target_of(goal, self._frame)
+            check_fence(goal, self.settings.limits)
+        except GoalRefused as refusal:
+            self._goal_refused = str(refusal)
+        self._measure()
+        # Not at the next regular time: a new goal goes out at once.
+        self._send_at = -math.inf
+
+    def clear_goal(self, refusal: str = "") -> None:
+        """It has no goal any more, or none that could be read; in the air it holds where it is."""
+        self._goal = self._goal_target = None
+        self._goal_refused = refusal
+        self.life.distance_m = math.nan
+
+    # --- what an operator wants
+
+    def run(self, procedure: Procedure, done: Done, name: str) -> None:
+        """Begin a procedure; one under way ends as superseded."""
+        self.stop_procedure(f"superseded by {name}")
+        self._procedure = procedure, done
+
+    def stop_procedure(self, reason: str) -> None:
+        """End the procedure under way, if any, without success."""
+        if self._procedure is None:
+            return
+        (procedure, done), self._procedure = self._procedure, None
+        procedure.close()
+        done(False, reason)
+
+    def part(self, now: float) -> None:
+        """The bridge stops: tell the autopilot what it must know."""
+        self.now = now
+        command = self.autopilot.parting(self.mode) if self.autopilot and self._can_send() else None
+        if command is not None:
+            self.authority.release("the bridge stops")
+            self._parting = self.commands.start(command, now)
+
+    @property
+    def parting(self) -> bool:
+        """True while the answer to a last command is awaited."""
+        return self._parting is not None and self._parting.outcome is None
+
+    # --- what is heard
+
+    def hear(self, message: Any, source: tuple[int, int], now: float) -> None:
+        """Take one message from the aircraft's system, `source` being (system, component)."""
+        self.now = now
+        kind = message.get_type()
+        if kind == "COMMAND_ACK":
+            self.commands.hear(message, source, now)
+            return
+        if source[1] != AUTOPILOT_COMPONENT:
+            return
+        if kind == "HEARTBEAT":
+            if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
+                return
+            known = self.vehicle.link is LinkState.CONNECTED and self.vehicle.autopilot is not None
+            self.vehicle.hear(message, now)
+            if not known:
+                self._identify()
+            self._look_at_mode()
+            return
+        if self.vehicle.autopilot is None:
+            return
+        if self.vehicle.hear(message, now):
+            self._rebooted()
+        if kind == "GLOBAL_POSITION_INT":
+            self._measure()
+        elif kind == "POSITION_TARGET_GLOBAL_INT":
+            self.life.echoed(message.lat_int, message.lon_int)
+
+    @property
+    def mode(self) -> str:
+        """Name of the present mode; empty while unknown."""
+        if self.autopilot is None or self.vehicle.autopilot is None:
+            return ""
+        return self.autopilot.mode_name(self.vehicle.custom_mode)
+
+    @property
+    def goal_mode(self) -> str:
+        """Mode in which it takes goals; empty while the autopilot is unknown."""
+        return "" if self.autopilot is None else self.autopilot.goal_mode[self.settings.transport]
+
+    def _identify(self) -> None:
+        heard = by_heartbeat(self.vehicle.autopilot or 0)
+        wanted = self.config.autopilot
+        mismatch = heard is None or (wanted != "auto" and heard is not REGISTRY[wanted])
+        self.autopilot = None if mismatch or self.vehicle.vehicle_type not in _MULTICOPTERS else heard
+        if self.autopilot is not None:
+            self._streams.restart()
+
+    def _look_at_mode(self) -> None:
+        if self.authority.observe(self.mode, self.vehicle.armed, self.now):
+            self.streaming = self.goals_open = False
+            if words := self.vehicle.words_since(self.now - WORDS_BEFORE_S):
+                self.authority.reason += f" (autopilot: {words})"
+            self.commands.cancel("somebody else took over")
+            self.stop_procedure(self.authority.reason)
+
+    def _rebooted(self) -> None:
+        self.commands.cancel("the autopilot rebooted")
+        self.authority.release("the autopilot rebooted; call bridge/launch")
+        self.streaming = self.goals_open = False
+        self.enu_m = None
+        if self.life.flying:
+            self.life.set_aside(GoalState.LOST, self.authority.reason)
+        self.stop_procedure("the autopilot rebooted")
+
+    def _measure(self) -> None:
+        position = self.vehicle.position
+        if position is None:
+            return
+        try:
+            east_m, north_m = self._frame.to_map(position.latitude, position.longitude)
+        except ValueError:
+            self.enu_m = None
+            return
+        relative = self.datum is AltitudeDatum.RELATIVE
+        up_m = position.relative_m if relative else position.amsl_m - self._frame.origin.altitude_amsl_m
+        self.enu_m = east_m, north_m, up_m
+        if self._goal is not None:
+            goal = self._goal
+            self.life.moved(math.dist(self.enu_m, (goal.east_m, goal.north_m, goal.up_m)))
+
+    # --- what time brings
+
+    def tick(self, now: float) -> None:
+        """Do what is due; to be called several times a second."""
+        self.now = now
+        was = self.vehicle.link
+        self.vehicle.update(now)
+        if was is LinkState.CONNECTED and self.vehicle.link is LinkState.LOST:
+            self.commands.cancel("link lost")
+        self.commands.tick(now)
+        if self._procedure is not None:
+            self._step(*self._procedure)
+        if self.autopilot is not None and self.vehicle.link is LinkState.CONNECTED and not self.duplicates:
+            self._streams.tick(now, self.vehicle.home is not None)
+        self._fly()
+
+    def _step(self, procedure: Procedure, done: Done) -> None:
+        try:
+            next(procedure)
+        except StopIteration as end:
+            self._procedure = None
+            done(True, end.value)
+        except ProcedureFailed as failure:
+            self._procedure = None
+            done(False, str(failure))
+
+    def _fly(self) -> None:
+        obstacle = self._obstacle()
+        if obstacle is not None:
+            self.life.set_aside(*obstacle)
+        elif self._reposition is not None and self._reposition.outcome is not None:
+            self._take_reposition_answer(self._reposition)
+        if not self.streaming or not self._can_send():
+            self._sent_target = None
+            return
+        target = self._goal_target if obstacle is None else self._hold()
+        if target is None:
+            return
+        if obstacle is None:
+            self._hold_target = None
+            self._goal_begun = True
+            self.life.sent((target.lat_e7, target.lon_e7), self.now)
+            self.life.tick(self.now, self.vehicle.words_since(self.life.sent_at))
+        self._put_on_wire(target)
+
+    def _can_send(self) -> bool:
+        return (
+            self.authority.ours
+            and self.autopilot is not None
+            and self.vehicle.link is LinkState.CONNECTED
+            and not self.duplicates
+        )
+
+    def _obstacle(self) -> tuple[GoalState, str] | None:
+        """Why the planner's goal is not on the wire now; None if it may be."""
+        vehicle = self.vehicle
+        if self.authority.holder is Holder.OTHERS:
+            return GoalState.YIELDED, self.authority.reason
+        if self.recalled:
+            return GoalState.YIELDED, self.held_because
+        if vehicle.link is LinkState.LOST and (self.life.flying or self.life.state is GoalState.LOST):
+            return GoalState.LOST, f"no heartbeat for more than {vehicle.link_timeout_s:g} s"
+        if self._goal_refused:
+            return GoalState.REJECTED, self._goal_refused
+        if self._goal is None:
+            return GoalState.NONE, self.held_because
+        if vehicle.link is not LinkState.CONNECTED:
+            return GoalState.NONE, "waiting: no heartbeat"
+        if problem := self.identity_problem:
+            return GoalState.REJECTED, problem
+        if not self.authority.ours:
+            state = self.life.state if self.life.state is GoalState.LOST else GoalState.NONE
+            return state, self.authority.reason
+        if self.held_because:
+            return GoalState.NONE, self.held_because
+        if not self.goals_open or not vehicle.in_air:
+            return GoalState.NONE, "waiting: not in the air yet"
+        if vehicle.critical:
+            return GoalState.REJECTED, f"the autopilot reports MAV_STATE {vehicle.system_status}: it holds"
+        if not vehicle.position_fresh(self.now):
+            return GoalState.NONE, "waiting: its position is not known"
+        silence_s = self._deadman.silence_s(self.now)
+        if silence_s is not None:
+            return GoalState.NONE, f"planner silent for {silence_s:.0f} s: it holds"
+        return self._goal_obstacle()
+
+    def _goal_obstacle(self) -> tuple[GoalState, str] | None:
+        if self._goal_begun or self._goal_target is None or self.autopilot is None:
+            return None
+        try:
+            if problem := datum_problem(self.vehicle, self.datum, self._frame.origin.altitude_amsl_m):
+                raise GoalRefused(problem)
+            check_jump(self.life.distance_m, self.settings.limits)
+        except GoalRefused as refusal:
+            self._goal_refused = str(refusal)
+            return GoalState.REJECTED, self._goal_refused
+        try:
+            self.autopilot.frame_and_altitude(self._goal_target, self.vehicle, self.datum)
+        except TargetError as error:
+            return GoalState.REJECTED, str(error)
+        return None
+
+    @property
+    def identity_problem(self) -> str:
+        """Why this vehicle is not served although it is heard; empty in good order."""
+        vehicle = self.vehicle
+        if self.duplicates:
+            return self.duplicates
+        if vehicle.autopilot is None or self.autopilot is not None:
+            return ""
+        if vehicle.vehicle_type not in _MULTICOPTERS:
+            return f"MAV_TYPE {vehicle.vehicle_type} is not a multicopter: not served"
+        heard = by_heartbeat(vehicle.autopilot)
+        name = heard.name if heard else f"MAV_AUTOPILOT {vehicle.autopilot}"
+        return f"its heartbeat says {name}, the fleet file {self.config.autopilot}: not served"
+
+    def problems(self) -> list[str]:
+        """What an operator should look into, each with what to do about it."""
+        vehicle = self.vehicle
+        found = [self.identity_problem] if self.identity_problem else []
+        if vehicle.link is not LinkState.CONNECTED:
+            return found
+        if self.commands.unanswered_in_row >= UNANSWERED_SUSPICIOUS:
+            found.append(
+                f"heard but does not obey: {self.commands.unanswered_in_row} commands in a row without an answer; "
+                "check that the link works both ways and, on ArduPilot, that SYSID_ENFORCE is 0 or MAV_GCS_SYSID "
+                "(SYSID_MYGCS before 4.7) is the bridge's sysid"
+            )
+        if vehicle.position is not None and vehicle.home is None:
+            found.append("home is not set: heights above home cannot be flown; set home or wait for a better fix")
+        if problem := datum_problem(vehicle, self.datum, self._frame.origin.altitude_amsl_m):
+            found.append(problem)
+        return found
+
+    def begin_hold(self) -> None:
+        """Hold where it is now, not where it held before."""
+        self._hold_target = None
+        self._send_at = -math.inf
+
+    def _hold(self) -> Target | None:
+        position = self.vehicle.position
+        if self._hold_target is None and position is not None:
+            self._hold_target = Target(position.latitude, position.longitude, position.relative_m, position.amsl_m)
+            self._send_at = -math.inf
+        return self._hold_target
+
+    def _put_on_wire(self, target: Target) -> None:
+        if self.autopilot is None:
+            return
+        changed = target != self._sent_target
+        if self.settings.transport is Transport.REPOSITION:
+            if changed and not self.commands.busy(mavlink.MAV_CMD_DO_REPOSITION):
+                self._sent_target = target
+                command = self.autopilot.reposition(target, self.vehicle, self.datum)
+                self._reposition = self.commands.start(command, self.now)
+            return
+        if self.now < self._send_at and not changed:
+            return
+        if changed and self._sent_target is not None and target is self._goal_target:
+            self.life.resent(self.now)
+        interval_s = 1.0 / max(self.settings.setpoint_rate_hz, self.autopilot.min_stream_hz)
+        # Regular on average, however late this call comes; after a pause, regular from now on.
+        self._send_at = max(self._send_at, self.now - interval_s) + interval_s
+        self._sent_target = target
+        time_boot_ms = round(self.now * 1e3)
+        self._send(self.autopilot.position_target(target, self.vehicle, self.datum, time_boot_ms))
+
+    def _take_reposition_answer(self, pending: Pending) -> None:
+        self._reposition = None
+        outcome = pending.outcome
+        if outcome is None or self._sent_target is not self._goal_target:
+            return
+        if outcome.accepted:
+            self.life.acknowledged()
+        else:
+            words = self.vehicle.words_since(self.life.sent_at)
+            self.life.refused(f"{outcome.reason}: {words}" if words else outcome.reason)

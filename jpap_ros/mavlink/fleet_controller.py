@@ -1,0 +1,342 @@
+"""The whole fleet on one I/O thread: links in, aircraft ticked, targets out, snapshots to whoever watches."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import partial
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from jpap_ros.fleet.config import FleetConfig, LinkUrl
+from jpap_ros.mavlink import procedures
+from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings, Procedure
+from jpap_ros.mavlink.geodesy import LocalFrame
+from jpap_ros.mavlink.goals import Goal
+from jpap_ros.mavlink.guards import PlanDeadman
+from jpap_ros.mavlink.links import COMPONENT_ID, Link, LinkHub, Packet, Peer
+from jpap_ros.mavlink.sightings import Sightings
+from jpap_ros.mavlink.snapshot import AircraftSnapshot, snapshot_of
+from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT
+
+HEARTBEAT_S = 1.0
+#: Least rate at which every aircraft is looked after [Hz].
+TICK_HZ = 10.0
+#: How long an orderly stop waits for PX4 to answer the switch to Hold [s].
+PARTING_S = 2.0
+
+
+class FleetOrder(Enum):
+    """What an operator can ask of an aircraft."""
+
+    LAUNCH = "launch"
+    HOLD = "hold"
+    RETURN_HOME = "return_home"
+    LAND = "land"
+
+
+@dataclass(frozen=True)
+class OrderResult:
+    """What came of an order for one aircraft, in words."""
+
+    success: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """How the fleet is run.
+
+    Attributes
+    ----------
+    sysid : int
+        The bridge's own MAVLink system id.
+    aircraft : AircraftSettings
+    plan_timeout_s : float
+        Goals are in force for this long after the last sign of the planner; 0: for ever [s].
+    launch_stagger_s : float
+        Between the take-offs of one order [s].
+    """
+
+    sysid: int = 245
+    aircraft: AircraftSettings = field(default_factory=AircraftSettings)
+    plan_timeout_s: float = 0.0
+    launch_stagger_s: float = 1.0
+
+
+Route = tuple[Link, Peer]
+
+
+class _Member:
+    """One aircraft with the places where it is heard."""
+
+    def __init__(self, aircraft: Aircraft, links: list[Link], silent_after_s: float) -> None:
+        self.aircraft = aircraft
+        self.links = links
+        self.sightings: Sightings[Route] = Sightings(silent_after_s)
+        self.route: Route | None = None
+        self.tick_at = 0.0
+        self.told: tuple[object, ...] = ()
+        self.told_position: object = None
+
+
+class FleetController:
+    """All aircraft of a fleet file, served by a thread of its own between `start` and `close`.
+
+    Every method may be called from any thread. `on_snapshot` is called on the I/O thread, whenever something about
+    an aircraft changed, and must return soon.
+
+    Parameters
+    ----------
+    config : FleetConfig
+    settings : ControllerSettings
+    on_snapshot : callable, optional
+
+    Raises
+    ------
+    ValueError
+        If the bridge's own system id is that of a vehicle.
+    OSError
+        If a port cannot be listened on.
+
+    Notes
+    -----
+    `close` leaves aircraft in the air as their autopilot's rule says: ArduPilot goes on to its last target and hovers
+    there; PX4 is switched from OFFBOARD to Hold, because its failsafe for a stream that ends may fly home.
+    """
+
+    def __init__(
+        self,
+        config: FleetConfig,
+        settings: ControllerSettings,
+        on_snapshot: Callable[[AircraftSnapshot], None] = lambda snapshot: None,
+    ) -> None:
+        for uav in config.uavs:
+            if uav.sysid == settings.sysid:
+                raise ValueError(f"the bridge's sysid {settings.sysid} is that of {uav.name}: choose another")
+        self._settings = settings
+        self._on_snapshot = on_snapshot
+        self._hub = LinkHub(settings.sysid)
+        self._deadman = PlanDeadman(settings.plan_timeout_s)
+        self._calls: deque[Callable[[float], None]] = deque()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
+        self._heartbeat_at = 0.0
+        self._tick_s = 1.0 / max(TICK_HZ, settings.aircraft.setpoint_rate_hz)
+        try:
+            links = {url: self._hub.open(url) for url in _urls(config)}
+        except OSError:
+            self._hub.close()
+            raise
+        frame = LocalFrame(config.origin)
+        self._members: dict[str, _Member] = {}
+        for i, uav in enumerate(config.uavs):
+            aircraft = Aircraft(
+                uav,
+                frame,
+                settings.aircraft,
+                (settings.sysid, COMPONENT_ID),
+                partial(self._send, uav.name),
+                self._deadman,
+            )
+            member = _Member(aircraft, [links[url] for url in uav.urls], settings.aircraft.link_timeout_s)
+            # Spread over the period, so that targets do not leave in a burst.
+            member.tick_at = time.monotonic() + self._tick_s * i / len(config.uavs)
+            self._members[uav.name] = member
+        self._by_sysid = {member.aircraft.config.sysid: member for member in self._members.values()}
+
+    # --- for any thread
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Part from the aircraft, end the thread and close the links."""
+        if self._thread.is_alive():
+            self._stopping.set()
+            self._hub.wake()
+            self._thread.join()
+        self._hub.close()
+
+    def __enter__(self) -> FleetController:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def set_goal(self, name: str, goal: Goal) -> None:
+        """Give an aircraft a goal; KeyError if there is no such aircraft."""
+        member = self._members[name]
+        self._call(lambda now: self._change(member, lambda: member.aircraft.set_goal(goal), now))
+
+    def clear_goal(self, name: str, refusal: str = "") -> None:
+        """Take an aircraft's goal away: in the air it holds. `refusal` says what was wrong with the goal, if so."""
+        member = self._members[name]
+        self._call(lambda now: self._change(member, lambda: member.aircraft.clear_goal(refusal), now))
+
+    def planner_alive(self) -> None:
+        """The planner gave a sign of life."""
+        self._call(self._deadman.feed)
+
+    def order(self, order: FleetOrder, names: list[str]) -> dict[str, Future[OrderResult]]:
+        """Give an operator's order to some aircraft.
+
+        Returns
+        -------
+        dict of str to Future
+            By name, each done when the outcome is known; every order ends in bounded time. A name that is not in
+            the fleet has its failure at once.
+        """
+        futures: dict[str, Future[OrderResult]] = {name: Future() for name in names}
+        rank = 0
+        for name, future in futures.items():
+            member = self._members.get(name)
+            if member is None:
+                known = ", ".join(self._members)
+                future.set_result(OrderResult(False, f"no UAV named {name!r} in the fleet file; there are {known}"))
+                continue
+            delay_s = rank * self._settings.launch_stagger_s
+            rank += 1
+            self._call(partial(self._begin, member, order, delay_s, future))
+        return futures
+
+    # --- on the I/O thread
+
+    def _call(self, function: Callable[[float], None]) -> None:
+        self._calls.append(function)
+        self._hub.wake()
+
+    def _change(self, member: _Member, change: Callable[[], None], now: float) -> None:
+        change()
+        self._tick(member, now)
+
+    def _begin(
+        self, member: _Member, order: FleetOrder, delay_s: float, future: Future[OrderResult], now: float
+    ) -> None:
+        aircraft = member.aircraft
+        aircraft.now = now
+
+        def done(success: bool, message: str) -> None:
+            future.set_result(OrderResult(success, message))
+
+        aircraft.run(_procedure(order, aircraft, delay_s), done, order.value)
+        self._tick(member, now)
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            self._cycle()
+        self._part()
+
+    def _cycle(self) -> None:
+        now = time.monotonic()
+        due = min(min(m.tick_at for m in self._members.values()), self._heartbeat_at)
+        for packet in self._hub.poll(0.0 if self._calls else max(0.0, due - now)):
+            self._receive(packet)
+        while self._calls:
+            self._calls.popleft()(time.monotonic())
+        now = time.monotonic()
+        if now >= self._heartbeat_at:
+            self._heartbeat_at = now + HEARTBEAT_S
+            self._beat()
+        for member in self._members.values():
+            if now >= member.tick_at:
+                member.tick_at = max(member.tick_at + self._tick_s, now)
+                self._tick(member, now)
+
+    def _beat(self) -> None:
+        beat = mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+            mavlink.MAV_AUTOPILOT_INVALID,
+            0,
+            0,
+            mavlink.MAV_STATE_ACTIVE,
+            3,
+        )
+        for link in self._hub.links:
+            self._hub.send(link, beat)
+
+    def _receive(self, packet: Packet) -> None:
+        message = packet.message
+        member = self._by_sysid.get(message.get_srcSystem())
+        if member is None or packet.link not in member.links:
+            return
+        source = message.get_srcSystem(), message.get_srcComponent()
+        now = packet.received_at
+        route = packet.link, packet.peer
+        if (
+            message.get_type() == "HEARTBEAT"
+            and source[1] == AUTOPILOT_COMPONENT
+            and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+        ):
+            member.sightings.heard(member.links.index(packet.link), route, now)
+            self._reroute(member, now)
+        if route != member.route and packet.link is (member.route or route)[0]:
+            # Another vehicle with the same system id, or not known to be the same yet.
+            return
+        reboots = member.aircraft.vehicle.reboots
+        member.aircraft.hear(message, source, now)
+        if member.aircraft.vehicle.reboots != reboots:
+            member.sightings.forget()
+            member.sightings.heard(member.links.index(packet.link), route, now)
+        if message.get_type() in ("COMMAND_ACK", "HEARTBEAT", "GLOBAL_POSITION_INT"):
+            self._tell(member)
+
+    def _reroute(self, member: _Member, now: float) -> None:
+        member.route = member.sightings.route(now)
+        sharing = member.sightings.duplicates(now)
+        where = ", ".join(f"{peer} on {link}" for link, peer in sharing)
+        sysid = member.aircraft.config.sysid
+        member.aircraft.duplicates = (
+            f"sysid {sysid} is used by several vehicles ({where}): none is served; give each its own" if sharing else ""
+        )
+
+    def _tick(self, member: _Member, now: float) -> None:
+        self._reroute(member, now)
+        member.aircraft.tick(now)
+        self._tell(member)
+
+    def _tell(self, member: _Member) -> None:
+        snapshot = snapshot_of(member.aircraft)
+        if snapshot.condition != member.told or snapshot.position is not member.told_position:
+            member.told = snapshot.condition
+            member.told_position = snapshot.position
+            self._on_snapshot(snapshot)
+
+    def _send(self, name: str, message: Any) -> bool:
+        route = self._members[name].route
+        return route is not None and self._hub.send(route[0], message, route[1])
+
+    def _part(self) -> None:
+        """Tell those aircraft that need it that the stream ends, and wait for their answers for a moment."""
+        for member in self._members.values():
+            member.aircraft.stop_procedure("the bridge stops")
+            member.aircraft.part(time.monotonic())
+        deadline = time.monotonic() + PARTING_S
+        while time.monotonic() < deadline and any(m.aircraft.parting for m in self._members.values()):
+            for packet in self._hub.poll(0.1):
+                self._receive(packet)
+            for member in self._members.values():
+                member.aircraft.tick(time.monotonic())
+
+
+def _urls(config: FleetConfig) -> list[LinkUrl]:
+    """Every url once: several aircraft may share a link."""
+    return list(dict.fromkeys(url for uav in config.uavs for url in uav.urls))
+
+
+def _procedure(order: FleetOrder, aircraft: Aircraft, delay_s: float) -> Procedure:
+    if order is FleetOrder.LAUNCH:
+        return procedures.launch(aircraft, delay_s)
+    if order is FleetOrder.HOLD:
+        return procedures.hold(aircraft)
+    if order is FleetOrder.RETURN_HOME:
+        return procedures.return_home(aircraft)
+    return procedures.land(aircraft)

@@ -1,0 +1,284 @@
+"""What an operator can ask of one aircraft, step by step: launch, hold, return home, land."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from jpap_ros.mavlink.aircraft import Aircraft, Procedure, ProcedureFailed
+from jpap_ros.mavlink.autopilots import Autopilot, TargetError, Transport
+from jpap_ros.mavlink.commands import Command, Outcome
+from jpap_ros.mavlink.vehicle import LinkState
+
+#: A mode asked for must show in the heartbeat within this [s].
+MODE_TIMEOUT_S = 5.0
+#: Arming must show in the heartbeat within this [s].
+ARMED_TIMEOUT_S = 5.0
+#: STATUSTEXT that explains a refusal may come this long after the answer [s].
+WORDS_AFTER_S = 1.0
+#: A climb may take this long, plus a time that grows with the height [s], [m/s].
+CLIMB_TIMEOUT_S = 30.0
+CLIMB_SPEED_M_S = 0.5
+
+Wait = Generator[None, None, None]
+
+
+def launch(aircraft: Aircraft, delay_s: float = 0.0) -> Procedure:
+    """Take an aircraft from the ground into the air, or back from a pilot, and open it to the planner's goals.
+
+    Arming and take-off are sent once each: without an answer the heartbeat and the landed state decide, and nothing
+    is sent late.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    delay_s : float
+        Wait before the first step, so that neighbours do not rise together [s].
+    """
+    aircraft.held_because = ""
+    aircraft.recalled = False
+    if aircraft.vehicle.link is LinkState.CONNECTED and aircraft.vehicle.in_air:
+        if aircraft.authority.ours and aircraft.goals_open and aircraft.mode == aircraft.goal_mode:
+            return "in the air and flying its goals already"
+        yield from _open_to_goals(aircraft)
+        return "in the air already; flies its goals now"
+    if aircraft.vehicle.landed_state in (mavlink.MAV_LANDED_STATE_TAKEOFF, mavlink.MAV_LANDED_STATE_LANDING):
+        raise ProcedureFailed("it is taking off or landing; call again when it is in the air or on the ground")
+    height_m = aircraft.settings.takeoff_height_m
+    if problem := _takeoff_problem(aircraft, height_m):
+        raise ProcedureFailed(problem)
+    yield from _pause(aircraft, delay_s)
+    settings = aircraft.settings
+    ready = yield from _until(aircraft, lambda: not _not_ready(aircraft), settings.ready_timeout_s, needs_link=False)
+    if not ready:
+        raise ProcedureFailed(f"not ready: {_not_ready(aircraft)}")
+    autopilot = _autopilot(aircraft)
+    aircraft.authority.take({aircraft.mode}, aircraft.now)
+    if autopilot.mode_before_takeoff is not None:
+        yield from _set_mode(aircraft, autopilot.mode_before_takeoff)
+    yield from _arm(aircraft)
+    try:
+        yield from _take_off(aircraft, height_m)
+    except ProcedureFailed:
+        if aircraft.vehicle.on_ground:
+            _stand_down(aircraft)
+        raise
+    yield from _open_to_goals(aircraft)
+    return f"in the air at {height_m:g} m; flies its goals now"
+
+
+def hold(aircraft: Aircraft) -> Procedure:
+    """Stay where it is until the next launch; takes an aircraft back from a pilot."""
+    aircraft.held_because = "held by the operator; call bridge/launch to fly goals again"
+    aircraft.recalled = False
+    if aircraft.vehicle.on_ground:
+        # A target must not make it take off.
+        _stand_down(aircraft)
+        return "on the ground; stays there"
+    autopilot = _autopilot(aircraft)
+    if aircraft.vehicle.position is None:
+        raise ProcedureFailed("its position is not known")
+    aircraft.begin_hold()
+    if autopilot.hold_mode == aircraft.goal_mode:
+        yield from _open_to_goals(aircraft)
+    else:
+        yield from _set_mode(aircraft, autopilot.hold_mode)
+        aircraft.streaming = aircraft.goals_open = False
+    return f"holds in {aircraft.mode}"
+
+
+def return_home(aircraft: Aircraft) -> Procedure:
+    """Fly home and land there, by the autopilot's own return mode."""
+    autopilot = _autopilot(aircraft)
+    return (yield from _leave(aircraft, autopilot.return_home(), autopilot.return_mode, "returns home"))
+
+
+def land(aircraft: Aircraft) -> Procedure:
+    """Land where it is."""
+    autopilot = _autopilot(aircraft)
+    return (yield from _leave(aircraft, autopilot.land(), autopilot.land_mode, "lands"))
+
+
+def _leave(aircraft: Aircraft, command: Command, mode: str, words: str) -> Procedure:
+    aircraft.held_because = f"{words} by the operator's command; call bridge/launch to fly goals again"
+    aircraft.recalled = True
+    if aircraft.vehicle.on_ground:
+        _stand_down(aircraft)
+        return "on the ground already"
+    aircraft.goals_open = False
+    aircraft.begin_hold()
+    yield from _change_mode(aircraft, command, mode)
+    aircraft.streaming = False
+    aircraft.authority.release(aircraft.held_because)
+    return f"{words} ({mode})"
+
+
+def _stand_down(aircraft: Aircraft) -> None:
+    """Give up an aircraft on the ground; what the bridge armed it disarms."""
+    aircraft.streaming = aircraft.goals_open = False
+    if aircraft.authority.ours:
+        aircraft.authority.release("stands on the ground; call bridge/launch")
+        if aircraft.vehicle.armed:
+            aircraft.commands.start(_autopilot(aircraft).disarm(), aircraft.now)
+
+
+def _autopilot(aircraft: Aircraft) -> Autopilot:
+    if aircraft.vehicle.link is LinkState.NEVER_SEEN:
+        raise ProcedureFailed("never heard")
+    if aircraft.vehicle.link is LinkState.LOST:
+        raise ProcedureFailed("link lost")
+    if aircraft.identity_problem or aircraft.autopilot is None:
+        raise ProcedureFailed(aircraft.identity_problem or "the autopilot is not identified yet")
+    return aircraft.autopilot
+
+
+def _takeoff_problem(aircraft: Aircraft, height_m: float) -> str | None:
+    fence = aircraft.settings.limits.fence
+    if fence is not None and height_m > fence.max_height_m:
+        return f"takeoff_height_m {height_m:g} is above the fence's max_height_m {fence.max_height_m:g}"
+    return None
+
+
+def _not_ready(aircraft: Aircraft) -> str:
+    """What an aircraft on the ground lacks for a take-off; empty if nothing."""
+    vehicle = aircraft.vehicle
+    if vehicle.link is LinkState.NEVER_SEEN:
+        return "never heard"
+    if vehicle.link is LinkState.LOST:
+        return "link lost"
+    if aircraft.identity_problem:
+        return aircraft.identity_problem
+    if aircraft.autopilot is None:
+        return "the autopilot is not identified yet"
+    if not vehicle.position_fresh(aircraft.now):
+        return "its position is not known (no GPS fix?)"
+    if vehicle.home is None:
+        return "home is not set"
+    if vehicle.critical:
+        return f"the autopilot reports MAV_STATE {vehicle.system_status}"
+    if vehicle.prearm_ok is False:
+        words = vehicle.words_since(aircraft.now - aircraft.settings.ready_timeout_s)
+        return f"the pre-arm check fails{': ' + words if words else ''}"
+    return ""
+
+
+def _arm(aircraft: Aircraft) -> Wait:
+    if aircraft.vehicle.armed:
+        return
+    began = aircraft.now
+    outcome = yield from _command(aircraft, _autopilot(aircraft).arm())
+    if outcome.accepted or outcome.result is None:
+        armed = yield from _until(aircraft, lambda: aircraft.vehicle.armed, ARMED_TIMEOUT_S)
+        if armed:
+            return
+        if outcome.accepted:
+            raise ProcedureFailed("arm: accepted, but the heartbeat shows it disarmed")
+    yield from _refused(aircraft, outcome, began)
+
+
+def _take_off(aircraft: Aircraft, height_m: float) -> Wait:
+    autopilot = _autopilot(aircraft)
+    vehicle = aircraft.vehicle
+    began = aircraft.now
+    try:
+        command = autopilot.takeoff(vehicle, height_m)
+    except TargetError as error:
+        raise ProcedureFailed(f"take off: {error}") from None
+    aircraft.authority.expect({aircraft.mode, *autopilot.takeoff_modes}, aircraft.now)
+    outcome = yield from _command(aircraft, command)
+    if not outcome.accepted:
+        rising = (mavlink.MAV_LANDED_STATE_TAKEOFF, mavlink.MAV_LANDED_STATE_IN_AIR)
+        left = outcome.result is None and (
+            yield from _until(aircraft, lambda: vehicle.landed_state in rising, MODE_TIMEOUT_S)
+        )
+        if not left:
+            yield from _refused(aircraft, outcome, began)
+    enough_m = height_m - max(0.5, 0.05 * height_m)
+
+    def arrived() -> bool:
+        return vehicle.in_air and vehicle.position is not None and vehicle.position.relative_m >= enough_m
+
+    timeout_s = CLIMB_TIMEOUT_S + height_m / CLIMB_SPEED_M_S
+    if not (yield from _until(aircraft, arrived, timeout_s)):
+        words = vehicle.words_since(began)
+        raise ProcedureFailed(f"did not reach {height_m:g} m within {timeout_s:.0f} s{': ' + words if words else ''}")
+
+
+def _open_to_goals(aircraft: Aircraft) -> Wait:
+    """Bring an aircraft in the air into the mode that takes goals; it holds until a goal flows."""
+    autopilot = _autopilot(aircraft)
+    aircraft.begin_hold()
+    aircraft.authority.take({aircraft.mode, *_now_expected(aircraft)}, aircraft.now)
+    streams = aircraft.settings.transport is Transport.SETPOINT
+    if streams and autopilot.stream_lead_s > 0.0:
+        aircraft.streaming = True
+        yield from _pause(aircraft, autopilot.stream_lead_s)
+    yield from _set_mode(aircraft, aircraft.goal_mode)
+    aircraft.streaming = aircraft.goals_open = True
+
+
+def _now_expected(aircraft: Aircraft) -> frozenset[str]:
+    return _autopilot(aircraft).takeoff_modes if aircraft.authority.ours else frozenset()
+
+
+def _set_mode(aircraft: Aircraft, mode: str) -> Wait:
+    yield from _change_mode(aircraft, _autopilot(aircraft).set_mode(mode), mode)
+
+
+def _change_mode(aircraft: Aircraft, command: Command, mode: str) -> Wait:
+    """Send what changes the mode and believe the heartbeat, not the answer."""
+    began = aircraft.now
+    aircraft.authority.take({aircraft.mode, mode}, aircraft.now)
+    if aircraft.mode != mode:
+        outcome = yield from _command(aircraft, command)
+        if outcome.accepted or outcome.result is None:
+            changed = yield from _until(aircraft, lambda: aircraft.mode == mode, MODE_TIMEOUT_S)
+            if not changed and outcome.accepted:
+                raise ProcedureFailed(f"{command.words}: accepted, but the heartbeat still shows {aircraft.mode}")
+            if not changed:
+                yield from _refused(aircraft, outcome, began)
+        else:
+            yield from _refused(aircraft, outcome, began)
+    aircraft.authority.expect({mode}, aircraft.now)
+
+
+def _command(aircraft: Aircraft, command: Command) -> Generator[None, None, Outcome]:
+    pending = aircraft.commands.start(command, aircraft.now)
+    while pending.outcome is None:
+        yield
+    if pending.outcome.result is None:
+        _check_link(aircraft)
+    return pending.outcome
+
+
+def _refused(aircraft: Aircraft, outcome: Outcome, began: float) -> Wait:
+    """Fail with the answer and the autopilot's own words."""
+    yield from _pause(aircraft, WORDS_AFTER_S)
+    words = aircraft.vehicle.words_since(began)
+    raise ProcedureFailed(f"{outcome.reason}: {words}" if words else outcome.reason)
+
+
+def _pause(aircraft: Aircraft, seconds: float) -> Wait:
+    end = aircraft.now + seconds
+    while aircraft.now < end:
+        yield
+
+
+def _until(
+    aircraft: Aircraft, condition: Callable[[], bool], timeout_s: float, needs_link: bool = True
+) -> Generator[None, None, bool]:
+    """Wait for a condition; False if it did not come in time."""
+    deadline = aircraft.now + timeout_s
+    while not condition():
+        if aircraft.now >= deadline:
+            return False
+        yield
+        if needs_link:
+            _check_link(aircraft)
+    return True
+
+
+def _check_link(aircraft: Aircraft) -> None:
+    if aircraft.vehicle.link is not LinkState.CONNECTED:
+        raise ProcedureFailed("link lost")

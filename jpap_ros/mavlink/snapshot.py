@@ -1,0 +1,98 @@
+"""What the bridge knows of one aircraft at one moment, to be handed to another thread."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from jpap_ros.mavlink.aircraft import Aircraft
+from jpap_ros.mavlink.goals import GoalState
+from jpap_ros.mavlink.vehicle import Battery, LinkState, Position
+
+
+@dataclass(frozen=True)
+class AircraftSnapshot:
+    """One aircraft; units as in the parts it is taken from.
+
+    Attributes
+    ----------
+    name, sysid : str, int
+    link : LinkState
+    autopilot, mode : str
+        Names; empty while unknown.
+    armed : bool
+    landed_state, system_status : int
+        MAV_LANDED_STATE, MAV_STATE.
+    battery : Battery
+    position : Position or None
+    enu_m : (east, north, up) or None
+        In the map frame [m].
+    goal_state : GoalState
+    goal_reason : str
+    goal_plan_id : int
+    goal_distance_m : float
+        NaN: unknown.
+    problems : tuple of str
+        What an operator should look into.
+    reboots : int
+        Since the bridge started.
+    """
+
+    name: str
+    sysid: int
+    link: LinkState
+    autopilot: str
+    mode: str
+    armed: bool
+    landed_state: int
+    system_status: int
+    battery: Battery
+    position: Position | None
+    enu_m: tuple[float, float, float] | None
+    goal_state: GoalState
+    goal_reason: str
+    goal_plan_id: int
+    goal_distance_m: float
+    problems: tuple[str, ...]
+    reboots: int
+
+    @property
+    def condition(self) -> tuple[object, ...]:
+        """What makes a change worth telling at once: everything but the figures that always move."""
+        return (
+            self.link,
+            self.autopilot,
+            self.mode,
+            self.armed,
+            self.landed_state,
+            self.system_status,
+            self.battery.charge_state,
+            self.goal_state,
+            self.goal_reason,
+            self.goal_plan_id,
+            self.problems,
+        )
+
+
+def snapshot_of(aircraft: Aircraft) -> AircraftSnapshot:
+    """Copy the present state; a position that is too old is left out."""
+    vehicle, life = aircraft.vehicle, aircraft.life
+    fresh = vehicle.position_fresh(aircraft.now)
+    return AircraftSnapshot(
+        name=aircraft.config.name,
+        sysid=aircraft.config.sysid,
+        link=vehicle.link,
+        autopilot=aircraft.autopilot.name if aircraft.autopilot else "",
+        mode=aircraft.mode,
+        armed=vehicle.armed,
+        landed_state=vehicle.landed_state,
+        system_status=vehicle.system_status,
+        battery=replace(vehicle.battery),
+        position=vehicle.position if fresh else None,
+        enu_m=aircraft.enu_m if fresh else None,
+        goal_state=life.state,
+        goal_reason=life.reason,
+        goal_plan_id=aircraft.goal.plan_id if aircraft.goal else 0,
+        goal_distance_m=life.distance_m,
+        problems=tuple(aircraft.problems()),
+        reboots=vehicle.reboots,
+    )

@@ -1,0 +1,271 @@
+"""Everything heard from one autopilot, and whether it is still there."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+#: The autopilot's own component; gimbals and companions share its system id.
+AUTOPILOT_COMPONENT = 1
+#: time_boot_ms may fall behind by this much without a reboot: packets overtake one another [ms].
+REORDER_MS = 5_000
+#: After this long without GLOBAL_POSITION_INT the position is not known any more [s].
+POSITION_TIMEOUT_S = 5.0
+_WORDS_KEPT = 20
+_UNKNOWN_UINT16 = 0xFFFF
+
+
+class LinkState(IntEnum):
+    """Whether a vehicle is heard; numbers as in VehicleState.msg."""
+
+    NEVER_SEEN = 0
+    CONNECTED = 1
+    LOST = 2
+
+
+@dataclass(frozen=True)
+class Position:
+    """Where a vehicle is, from GLOBAL_POSITION_INT.
+
+    Attributes
+    ----------
+    latitude, longitude : float
+        WGS-84 [deg].
+    amsl_m, relative_m : float
+        Height above mean sea level and above home [m].
+    velocity_ned : tuple of float
+        (north, east, down) [m/s].
+    yaw_ned : float
+        Heading, clockwise from north [rad]; NaN if unknown.
+    received_at : float
+        Local clock [s].
+    """
+
+    latitude: float
+    longitude: float
+    amsl_m: float
+    relative_m: float
+    velocity_ned: tuple[float, float, float]
+    yaw_ned: float
+    received_at: float
+
+
+@dataclass(frozen=True)
+class Home:
+    """HOME_POSITION: WGS-84 [deg] and height above mean sea level [m]."""
+
+    latitude: float
+    longitude: float
+    amsl_m: float
+
+
+@dataclass(frozen=True)
+class TargetEcho:
+    """POSITION_TARGET_GLOBAL_INT: where the autopilot says it is going. Units of 1e-7 deg; [m] in `frame`'s datum."""
+
+    lat_e7: int
+    lon_e7: int
+    altitude_m: float
+    frame: int
+    received_at: float
+
+
+@dataclass(frozen=True)
+class Words:
+    """One STATUSTEXT, put together from its chunks."""
+
+    severity: int
+    text: str
+    received_at: float
+
+
+@dataclass
+class Battery:
+    """Charge in [0, 1], voltage [V], MAV_BATTERY_CHARGE_STATE; NaN and 0 where unknown."""
+
+    remaining: float = math.nan
+    voltage_v: float = math.nan
+    charge_state: int = 0
+
+
+class Vehicle:
+    """One autopilot as it is heard; it never sends.
+
+    Parameters
+    ----------
+    sysid : int
+        MAVLink system id.
+    link_timeout_s : float
+        Lost after this long without a heartbeat.
+    """
+
+    def __init__(self, sysid: int, link_timeout_s: float = 4.0) -> None:
+        self.sysid = sysid
+        self.link_timeout_s = link_timeout_s
+        self.link = LinkState.NEVER_SEEN
+        self.heartbeat_at = -math.inf
+        self.reboots = 0
+        self._handlers: dict[str, Callable[[Any, float], None]] = {
+            "HEARTBEAT": self._heartbeat,
+            "GLOBAL_POSITION_INT": self._global_position,
+            "EXTENDED_SYS_STATE": self._extended_sys_state,
+            "SYS_STATUS": self._sys_status,
+            "BATTERY_STATUS": self._battery_status,
+            "HOME_POSITION": self._home_position,
+            "POSITION_TARGET_GLOBAL_INT": self._position_target,
+            "GPS_RAW_INT": self._gps_raw,
+            "STATUSTEXT": self._statustext,
+        }
+        self._forget()
+
+    def _forget(self) -> None:
+        self.autopilot: int | None = None
+        self.vehicle_type = mavlink.MAV_TYPE_GENERIC
+        self.custom_mode = 0
+        self.armed = False
+        self.system_status = mavlink.MAV_STATE_UNINIT
+        self.landed_state = mavlink.MAV_LANDED_STATE_UNDEFINED
+        self.position: Position | None = None
+        self.home: Home | None = None
+        self.echo: TargetEcho | None = None
+        self.battery = Battery()
+        self.prearm_ok: bool | None = None
+        self.geoid_separation_m: float | None = None
+        self.words: deque[Words] = deque(maxlen=_WORDS_KEPT)
+        self._chunks: dict[int, dict[int, str]] = {}
+        self._boot_ms: int | None = None
+
+    def hear(self, message: Any, now: float) -> bool:
+        """Take one message from the autopilot's component.
+
+        Returns
+        -------
+        bool
+            True if the message told of a reboot: everything known before it is forgotten.
+        """
+        rebooted = self._rebooted(message)
+        if rebooted:
+            self.reboots += 1
+            self._forget()
+            self._boot_ms = message.time_boot_ms
+        handler = self._handlers.get(message.get_type())
+        if handler:
+            handler(message, now)
+        return rebooted
+
+    def update(self, now: float) -> None:
+        """Notice silence."""
+        if self.link is LinkState.CONNECTED and now - self.heartbeat_at > self.link_timeout_s:
+            self.link = LinkState.LOST
+
+    def position_fresh(self, now: float) -> bool:
+        """True while the position is recent enough to act on."""
+        return self.position is not None and now - self.position.received_at <= POSITION_TIMEOUT_S
+
+    @property
+    def in_air(self) -> bool:
+        """In the air by EXTENDED_SYS_STATE; where that is not sent, armed and off the ground by 1 m."""
+        if self.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED:
+            return self.armed and self.position is not None and self.position.relative_m > 1.0
+        return bool(self.landed_state == mavlink.MAV_LANDED_STATE_IN_AIR)
+
+    @property
+    def on_ground(self) -> bool:
+        """On the ground by EXTENDED_SYS_STATE; where that is not sent, not armed."""
+        if self.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED:
+            return not self.armed
+        return bool(self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND)
+
+    @property
+    def critical(self) -> bool:
+        """MAV_STATE critical, emergency or flight termination: not to be given goals."""
+        return self.system_status in (
+            mavlink.MAV_STATE_CRITICAL,
+            mavlink.MAV_STATE_EMERGENCY,
+            mavlink.MAV_STATE_FLIGHT_TERMINATION,
+        )
+
+    def words_since(self, since: float, worst: int = mavlink.MAV_SEVERITY_WARNING) -> str:
+        """The autopilot's own words since a time, severe ones only, joined; empty if it said nothing."""
+        texts = [w.text for w in self.words if w.received_at >= since and w.severity <= worst]
+        return "; ".join(dict.fromkeys(texts))
+
+    def _rebooted(self, message: Any) -> bool:
+        boot_ms = getattr(message, "time_boot_ms", None)
+        if boot_ms is None or message.get_type() == "POSITION_TARGET_GLOBAL_INT":
+            return False
+        before, self._boot_ms = self._boot_ms, max(boot_ms, self._boot_ms or 0)
+        return before is not None and boot_ms + REORDER_MS < before
+
+    def _heartbeat(self, message: Any, now: float) -> None:
+        self.autopilot = message.autopilot
+        self.vehicle_type = message.type
+        self.custom_mode = message.custom_mode
+        self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.system_status = message.system_status
+        self.heartbeat_at = now
+        self.link = LinkState.CONNECTED
+
+    def _global_position(self, message: Any, now: float) -> None:
+        if message.lat == 0 and message.lon == 0:
+            # What an autopilot sends before its first fix.
+            return
+        yaw = math.nan if message.hdg == _UNKNOWN_UINT16 else math.radians(message.hdg / 100)
+        self.position = Position(
+            message.lat / 1e7,
+            message.lon / 1e7,
+            message.alt / 1e3,
+            message.relative_alt / 1e3,
+            (message.vx / 100, message.vy / 100, message.vz / 100),
+            yaw,
+            now,
+        )
+
+    def _extended_sys_state(self, message: Any, now: float) -> None:
+        self.landed_state = message.landed_state
+
+    def _sys_status(self, message: Any, now: float) -> None:
+        if message.voltage_battery != _UNKNOWN_UINT16:
+            self.battery.voltage_v = message.voltage_battery / 1e3
+        if message.battery_remaining >= 0:
+            self.battery.remaining = message.battery_remaining / 100
+        bit = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+        if message.onboard_control_sensors_present & message.onboard_control_sensors_enabled & bit:
+            self.prearm_ok = bool(message.onboard_control_sensors_health & bit)
+
+    def _battery_status(self, message: Any, now: float) -> None:
+        if message.id != 0:
+            return
+        if message.battery_remaining >= 0:
+            self.battery.remaining = message.battery_remaining / 100
+        self.battery.charge_state = message.charge_state
+
+    def _home_position(self, message: Any, now: float) -> None:
+        self.home = Home(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+
+    def _position_target(self, message: Any, now: float) -> None:
+        self.echo = TargetEcho(message.lat_int, message.lon_int, message.alt, message.coordinate_frame, now)
+
+    def _gps_raw(self, message: Any, now: float) -> None:
+        if message.alt_ellipsoid != 0 and message.alt != 0:
+            self.geoid_separation_m = (message.alt_ellipsoid - message.alt) / 1e3
+
+    def _statustext(self, message: Any, now: float) -> None:
+        raw = message.text
+        text = raw.decode("utf-8", "replace") if isinstance(raw, bytes) else raw
+        full = len(text) >= 50
+        text = text.rstrip("\0")
+        if message.id:
+            chunks = self._chunks.setdefault(message.id, {})
+            chunks[message.chunk_seq] = text
+            if full and len(self._chunks) <= _WORDS_KEPT:
+                return
+            del self._chunks[message.id]
+            text = "".join(chunks[i] for i in sorted(chunks))
+        self.words.append(Words(message.severity, text, now))
