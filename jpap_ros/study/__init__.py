@@ -1,1 +1,1 @@
-"""Monte-Carlo comparison of schemes and the paper's figures."""
+"""Monte-Carlo comparison of the schemes, and the paper's figures."""

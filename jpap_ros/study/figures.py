@@ -1,0 +1,90 @@
+"""The curves over device number and link budget: the paper's Figures 1 and 3, and the link budget that Figure 2 needs.
+
+Every point is a mean over draws, with its 95 % confidence interval as an error bar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+
+from jpap_ros.study.rows import Row
+from jpap_ros.study.style import GREY, figure_style, look, save, scheme_order
+from jpap_ros.study.summary import Metric, mean_of
+
+#: UAVs that the paper's Figure 2 shows for 40 devices.
+PAPER_DEVICES = 40
+PAPER_UAVS = {"JPAP": 14, "EPA-JPAP": 15}
+
+
+def average_rate(row: Row) -> float:
+    """Metric of Figure 1."""
+    return row.average_uav_rate
+
+
+def uav_number(row: Row) -> float:
+    """Metric of Figure 3."""
+    return row.uavs
+
+
+def plot_over_devices(rows: Sequence[Row], metric: Metric, ylabel: str, path: Path) -> list[Path]:
+    """Figures 1 and 3: a metric against the number of devices, at the stated link budget."""
+    with figure_style():
+        figure, axes = plt.subplots(figsize=(5.2, 3.6))
+        _curves(axes, [row for row in rows if row.gain_db == 0], metric, "devices")
+        axes.set_xlabel("Number of devices $K$")
+        axes.set_ylabel(ylabel)
+        axes.set_ylim(bottom=0)
+        axes.legend(loc="upper left", ncols=2, handlelength=2.8, columnspacing=1.2)
+        axes.set_ylim(top=axes.get_ylim()[1] * 1.22)
+        return save(figure, path)
+
+
+def plot_over_gain(rows: Sequence[Row], path: Path) -> list[Path]:
+    """UAV number of 40 devices against link budget, with the counts of the paper's Figure 2."""
+    here = [row for row in rows if row.devices == PAPER_DEVICES]
+    with figure_style():
+        figure, axes = plt.subplots(figsize=(5.2, 3.6))
+        _curves(axes, here, uav_number, "gain_db")
+        right = axes.get_xlim()[1]
+        for name, count in PAPER_UAVS.items():
+            axes.axhline(count, color=GREY, linewidth=0.9, linestyle=(0, (1, 1)), zorder=1)
+            above = count == max(PAPER_UAVS.values())
+            axes.text(
+                right,
+                count,
+                f"paper, Figure 2: {name} {count}",
+                fontsize=7.5,
+                color="#555555",
+                ha="right",
+                va="bottom" if above else "top",
+            )
+        axes.set_xlabel("Link budget above the stated one [dB]")
+        axes.set_ylabel(f"Number of UAVs $N$ for $K$ = {PAPER_DEVICES}")
+        axes.set_ylim(bottom=0)
+        axes.legend(loc="lower left", ncols=2, handlelength=2.8, columnspacing=1.2)
+        return save(figure, path)
+
+
+def _curves(axes: Axes, rows: Sequence[Row], metric: Metric, over: str) -> None:
+    """One curve with error bars for each scheme."""
+    places: list[float] = sorted({getattr(row, over) for row in rows})
+    for scheme in sorted({row.scheme for row in rows}, key=scheme_order):
+        means = [mean_of(rows, metric, scheme=scheme, **{over: place}) for place in places]
+        style = look(scheme)
+        axes.errorbar(
+            places,
+            [mean.value for mean in means],
+            yerr=[mean.half_width for mean in means],
+            label=style.label,
+            color=style.colour,
+            linestyle=style.line,
+            marker=style.marker,
+            markerfacecolor=style.face,
+            capsize=2.5,
+            elinewidth=0.9,
+        )
+    axes.set_xticks(places)
