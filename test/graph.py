@@ -101,6 +101,10 @@ class Graph:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 
+    def add_node(self, node: Node) -> None:
+        """Spin another node of this context as well."""
+        self._executor.add_node(node)
+
     def close(self) -> None:
         """Leave the graph."""
         self._executor.shutdown()

@@ -82,7 +82,8 @@ class FleetPlan:
     def summary(self) -> str:
         """Say it in words."""
         served = sum(len(cell.device_ids) for cell in self.cells)
-        text = f"{len(self.cells)} UAVs serve {served} devices"
+        uavs = "1 UAV serves" if len(self.cells) == 1 else f"{len(self.cells)} UAVs serve"
+        text = f"{uavs} {served} device{'s' if served != 1 else ''}"
         if self.unserved:
             text += f", {len(self.unserved)} unserved"
         if self.uavs_needed > len(self.cells):

@@ -144,7 +144,7 @@ class DeviceTable:
 
     def expire(self, now_s: float, timeout_s: float) -> tuple[str, ...]:
         """Remove the devices that no report named for `timeout_s` [s], and return their ids."""
-        silent = tuple(name for name, heard in self._heard.items() if now_s - heard > timeout_s)
+        silent = tuple(name for name in self._devices if now_s - self._heard[name] > timeout_s)
         for name in silent:
             del self._devices[name], self._heard[name]
         return silent

@@ -1,0 +1,144 @@
+"""Which aircraft gets which cell. Oracle: every assignment tried in turn, and rules worked by hand."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
+from jpap_ros.fleet.naming import name_cells
+from jpap_ros.fleet.plan import PlanSettings, plan_fleet
+from jpap_ros.planning import LinkBudget
+from jpap_ros.planning.devices import Device
+
+SCHEME = "kmeans_qdpa"
+RATE = 16.0
+
+
+def cell(x, y, *ids, uav=""):
+    return FleetCell(uav, (float(x), float(y)), ids, (1.0,) * len(ids), (RATE,) * len(ids))
+
+
+def craft(name, x, y, connected=True, unavailable=""):
+    return Aircraft(name, (float(x), float(y)), connected, unavailable)
+
+
+def who(named):
+    return {ids: c.uav for c in named for ids in [c.device_ids]}
+
+
+def cost(named, fleet):
+    where = {c.name: c.position for c in fleet}
+    return sum(math.dist(c.position, where[c.uav]) ** 2 for c in named if c.uav)
+
+
+points = st.tuples(st.integers(-500, 500), st.integers(-500, 500))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(points, min_size=1, max_size=4), st.lists(points, min_size=4, max_size=6))
+def test_the_sum_of_squared_distances_is_least(goals, homes):
+    cells = [cell(*goal, f"d{i}") for i, goal in enumerate(goals)]
+    fleet = [craft(f"uav{i}", *home) for i, home in enumerate(homes)]
+    least = min(
+        sum(math.dist(goal, homes[i]) ** 2 for goal, i in zip(goals, order, strict=True))
+        for order in itertools.permutations(range(len(homes)), len(goals))
+    )
+    for connected in (True, False):
+        named = name_cells(cells, [craft(c.name, *c.position, connected) for c in fleet], ())
+        assert {c.device_ids for c in named} == {c.device_ids for c in cells}
+        assert len({c.uav for c in named}) == len(cells)
+        assert cost(named, fleet) == pytest.approx(least, abs=1e-6)
+
+
+def test_a_cell_with_the_same_devices_keeps_its_aircraft_though_another_is_nearer():
+    fleet = [craft("far", 900, 0), craft("near", 1, 0)]
+    present = [cell(0, 0, "a", "b", uav="far")]
+    assert who(name_cells([cell(5, 0, "b", "a")], fleet, present)) == {("b", "a"): "far"}
+
+
+def test_a_cell_whose_aircraft_is_gone_gets_the_nearest():
+    present = [cell(0, 0, "a", uav="gone")]
+    assert who(name_cells([cell(0, 0, "a")], [craft("x", 50, 0), craft("y", 10, 0)], present)) == {("a",): "y"}
+
+
+def test_aircraft_with_telemetry_come_first_however_far():
+    fleet = [craft("silent", 0, 0, connected=False), craft("heard", 9000, 0)]
+    assert who(name_cells([cell(0, 0, "a")], fleet, ())) == {("a",): "heard"}
+    both = name_cells([cell(0, 0, "a"), cell(9000, 9000, "b")], fleet, ())
+    assert who(both) == {("a",): "silent", ("b",): "heard"}
+
+
+def test_all_with_telemetry_are_used_before_one_without():
+    fleet = [craft("s1", 0, 0, connected=False), craft("s2", 10, 0, connected=False), craft("heard", 5000, 0)]
+    named = name_cells([cell(0, 0, "a"), cell(10, 0, "b")], fleet, ())
+    assert "heard" in who(named).values()
+
+
+def test_cells_beyond_the_fleet_have_no_name_and_come_last():
+    named = name_cells([cell(100, 0, "a"), cell(1, 0, "b")], [craft("x", 0, 0)], ())
+    assert [(c.uav, c.device_ids) for c in named] == [("x", ("b",)), ("", ("a",))]
+
+
+def test_cells_come_in_the_order_of_the_fleet():
+    fleet = [craft("z", 100, 0), craft("a", 0, 0)]
+    assert [c.uav for c in name_cells([cell(0, 0, "p"), cell(100, 0, "q")], fleet, ())] == ["z", "a"]
+
+
+def spread(count):
+    """Devices so far apart (2 km) that each needs a UAV of its own."""
+    return [Device(f"d{i}", (2000.0 * i, 0.0), RATE) for i in range(count)]
+
+
+def test_unavailable_aircraft_get_no_cell_and_the_rest_is_reported():
+    fleet = [craft("a", 0, 0), craft("b", 0, 0, unavailable="is lost"), craft("c", 0, 0)]
+    plan = plan_fleet(spread(3), PlanSettings(scheme=SCHEME), fleet)
+    assert [c.uav for c in plan.cells] == ["a", "c"]
+    assert len(plan.unserved) == 1 and plan.uavs_needed == 3
+    assert plan.summary() == "2 UAVs serve 2 devices, 1 unserved, 3 UAVs needed"
+
+
+def test_without_devices_there_are_no_cells():
+    plan = plan_fleet([], PlanSettings(scheme=SCHEME), [craft("a", 0, 0)])
+    assert (plan.cells, plan.unserved, plan.uavs_needed) == ((), (), 0)
+    assert math.isnan(plan.average_uav_rate)
+
+
+def test_without_aircraft_every_device_is_unserved():
+    plan = plan_fleet(spread(2), PlanSettings(scheme=SCHEME), [craft("a", 0, 0, unavailable="is lost")])
+    assert plan.cells == () and [name for name, _ in plan.unserved] == ["d0", "d1"]
+
+
+def test_rates_are_in_bit_per_second_and_meet_the_demands():
+    """Shannon's formula with the bandwidth, computed here from the powers and the geometry alone."""
+    bandwidth, link = 180e3, LinkBudget()
+    devices = [Device(f"d{i}", (40.0 * i, 10.0 * i), bandwidth * (15 + i / 4)) for i in range(8)]
+    plan = plan_fleet(
+        devices, PlanSettings(scheme=SCHEME, bandwidth_hz=bandwidth), [craft("a", 0, 0), craft("b", 0, 0)]
+    )
+    demand = {device.id: device for device in devices}
+    assert plan.unserved == ()
+    for c in plan.cells:
+        assert sum(c.power_w) == pytest.approx(10.0)
+        assert c.uav_rate == pytest.approx(sum(c.rate))
+        for name, power, rate in zip(c.device_ids, c.power_w, c.rate, strict=True):
+            distance2 = math.dist(c.position, demand[name].position) ** 2 + link.altitude_m**2
+            assert rate == pytest.approx(bandwidth * np.log2(1 + power * 1e-3 / distance2 / 1e-12))
+            assert rate >= demand[name].rate_demand * (1 - 1e-9)
+    assert plan.average_uav_rate == pytest.approx(np.mean([c.uav_rate for c in plan.cells]))
+
+
+def test_an_impossible_demand_is_reported_and_the_others_are_served():
+    devices = [Device("greedy", (0.0, 0.0), 30.0), Device("modest", (10.0, 0.0), RATE)]
+    plan = plan_fleet(devices, PlanSettings(scheme=SCHEME), [craft("a", 0, 0)])
+    assert [c.device_ids for c in plan.cells] == [("modest",)]
+    assert [name for name, _ in plan.unserved] == ["greedy"] and "30" in plan.unserved[0][1]
+
+
+def test_the_summary_counts():
+    plan = FleetPlan((cell(0, 0, "a", "b", uav="x"),), (), 1, None, False, SCHEME)
+    assert plan.summary() == "1 UAV serves 2 devices"
+    assert plan.average_uav_rate == 2 * RATE
