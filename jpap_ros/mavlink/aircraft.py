@@ -144,6 +144,7 @@ class Aircraft:
         self._goal: Goal | None = None
         self._goal_target: Target | None = None
         self._goal_refused = ""
+        self._no_goal_because = ""
         self._goal_begun = False
         self._hold_target: Target | None = None
         self._send_at = -math.inf
@@ -177,10 +178,11 @@ class Aircraft:
         # Not at the next regular time: a new goal goes out at once.
         self._send_at = -math.inf
 
-    def clear_goal(self, refusal: str = "") -> None:
-        """It has no goal any more, or none that could be read; in the air it holds where it is."""
+    def clear_goal(self, reason: str = "", refused: bool = False) -> None:
+        """It has no goal any more, or (`refused`) was given one that must not be flown; in the air it holds."""
         self._goal = self._goal_target = None
-        self._goal_refused = refusal
+        self._goal_refused = reason if refused else ""
+        self._no_goal_because = "" if refused else reason
         self.life.distance_m = math.nan
 
     # --- what an operator wants
@@ -358,7 +360,7 @@ class Aircraft:
         if self._goal_refused:
             return GoalState.REJECTED, self._goal_refused
         if self._goal is None:
-            return GoalState.NONE, self.held_because
+            return GoalState.NONE, self.held_because or self._no_goal_because
         if vehicle.link is not LinkState.CONNECTED:
             return GoalState.NONE, "waiting: no heartbeat"
         if problem := self.identity_problem:

@@ -177,10 +177,10 @@ class FleetController:
         member = self._members[name]
         self._call(lambda now: self._change(member, lambda: member.aircraft.set_goal(goal), now))
 
-    def clear_goal(self, name: str, refusal: str = "") -> None:
-        """Take an aircraft's goal away: in the air it holds. `refusal` says what was wrong with the goal, if so."""
+    def clear_goal(self, name: str, reason: str = "", refused: bool = False) -> None:
+        """Take an aircraft's goal away, or refuse one that could not be read: in the air it holds."""
         member = self._members[name]
-        self._call(lambda now: self._change(member, lambda: member.aircraft.clear_goal(refusal), now))
+        self._call(lambda now: self._change(member, lambda: member.aircraft.clear_goal(reason, refused), now))
 
     def planner_alive(self) -> None:
         """The planner gave a sign of life."""
