@@ -142,7 +142,8 @@ class Forwarder:
             self.looped += 1
             return False
         # Component 0 means all of them and cannot be a source to send to.
-        if source[0] and source[1]:
+        # An unsigned RADIO_STATUS on a link with a key proves nothing about where its supposed source is.
+        if source[0] and source[1] and packet.peer.trusted:
             (self._stations if from_station else self._vehicles).learn(source, arrival, now)
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_SETUP_SIGNING:
             return True
