@@ -125,9 +125,9 @@ class ArduPilotVehicle(SimVehicle):
 
     def do_set_mode(self, command: Command) -> int:
         """MAV_CMD_DO_SET_MODE."""
-        if not int(command.param(1)) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        if not command.integer(1) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
             return UNSUPPORTED
-        return ACCEPTED if self.request_mode(int(command.param(2))) else FAILED
+        return ACCEPTED if self.request_mode(command.integer(2)) else FAILED
 
     def request_mode(self, custom_mode: int) -> bool:
         """Change the mode if it exists and, when armed, has what it needs."""
@@ -166,6 +166,9 @@ class ArduPilotVehicle(SimVehicle):
     def arming_problem(self) -> str | None:
         """Some modes cannot be armed in."""
         return f"{self._mode} mode not armable" if self._mode in _NOT_ARMABLE else super().arming_problem()
+
+    def armed_now(self) -> None:
+        """Nothing: take-off is asked for separately."""
 
     def refused_disarm(self) -> int:
         """ArduCopter does not disarm in the air."""
@@ -222,8 +225,7 @@ class ArduPilotVehicle(SimVehicle):
         """Only as COMMAND_INT, and out of another mode only with the change-mode flag."""
         if not command.is_int:
             return int(mavlink.MAV_RESULT_COMMAND_INT_ONLY)
-        flags = command.param(2)
-        change = math.isfinite(flags) and int(flags) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+        change = command.integer(2) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
         if self._mode != "GUIDED" and not change:
             return DENIED
         lat, lon = command.lat_lon()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +45,11 @@ class Command:
     def param(self, number: int) -> float:
         """param1 to param7."""
         return self.params[number - 1]
+
+    def integer(self, number: int) -> int:
+        """A parameter that stands for a whole number; 0 where it is not finite."""
+        value = self.params[number - 1]
+        return int(value) if math.isfinite(value) else 0
 
     def lat_lon(self) -> tuple[float, float]:
         """Latitude and longitude [deg] of the fifth and sixth parameter; NaN where not given."""

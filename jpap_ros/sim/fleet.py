@@ -21,10 +21,11 @@ from jpap_ros.sim.channel import Channel
 from jpap_ros.sim.dynamics import MAX_STEP_S
 from jpap_ros.sim.faults import fate
 from jpap_ros.sim.options import VehicleOptions
+from jpap_ros.sim.px4 import Px4Vehicle
 from jpap_ros.sim.transport import Port, SimError, open_port
 from jpap_ros.sim.vehicle import SimVehicle
 
-PERSONALITIES: dict[str, type[SimVehicle]] = {"ardupilot": ArduPilotVehicle}
+PERSONALITIES: dict[str, type[SimVehicle]] = {"ardupilot": ArduPilotVehicle, "px4": Px4Vehicle}
 
 TICK_S = 0.02
 MAX_SPEEDUP = 100.0

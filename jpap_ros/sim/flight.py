@@ -63,6 +63,9 @@ class FlyTo(Manoeuvre):
                 yaw = math.atan2(dx, dy)
         if yaw is not None and yaw != body.yaw:
             body.turn_to(yaw, dt)
+        if body.z <= 0.0 and self.goal[2] <= 0.0:
+            body.z = 0.0
+            vehicle.touch_down()
 
 
 class FlyAt(Manoeuvre):

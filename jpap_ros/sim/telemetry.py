@@ -188,8 +188,8 @@ def gps_global_origin(vehicle: SimVehicle) -> Any:
 
 def position_target_global_int(vehicle: SimVehicle) -> Any:
     """POSITION_TARGET_GLOBAL_INT: where the autopilot is flying to; None while it flies nowhere."""
-    goal = vehicle.manoeuvre.goal
-    if goal is None or not vehicle.gps_ready:
+    goal = vehicle.global_target()
+    if goal is None:
         return None
     lat, lon = vehicle.goal_e7(goal)
     return mavlink.MAVLink_position_target_global_int_message(
@@ -207,6 +207,18 @@ def position_target_global_int(vehicle: SimVehicle) -> Any:
         0.0,
         0.0,
         0.0,
+    )
+
+
+def position_target_local_ned(vehicle: SimVehicle) -> Any:
+    """POSITION_TARGET_LOCAL_NED: the same from the estimator's origin; None while it flies nowhere."""
+    goal, origin = vehicle.manoeuvre.goal, vehicle.ekf_origin
+    if goal is None or origin is None or not vehicle.armed:
+        return None
+    ned = (goal[1] - origin[1], goal[0] - origin[0], origin[2] - goal[2])
+    rest = (0.0,) * 8
+    return mavlink.MAVLink_position_target_local_ned_message(
+        vehicle.boot_ms(), mavlink.MAV_FRAME_LOCAL_NED, vehicle.ECHO_TYPE_MASK, *ned, *rest
     )
 
 
@@ -242,6 +254,7 @@ BUILDERS: dict[int, Callable[[SimVehicle], Any]] = {
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: gps_global_origin,
     mavlink.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: position_target_global_int,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: position_target_local_ned,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: battery_status,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: home_position,

@@ -86,6 +86,8 @@ class SimVehicle(ABC):
     PARAMETERS: ClassVar[Mapping[str, int | float]]
     BYTEWISE_PARAMETERS: ClassVar[bool]
     AUTO_DISARM_S: ClassVar[float] = 10.0
+    FORCE_ARMS: ClassVar[bool] = True
+    UNKNOWN_REQUEST_RESULT: ClassVar[int] = FAILED
     LAND_SPEED: ClassVar[float]
     DISARM_AFTER_LANDING_S: ClassVar[float]
 
@@ -205,6 +207,10 @@ class SimVehicle(ABC):
         if self._goal_wire is None or self._goal_wire[0] != goal:
             self._goal_wire = (goal, self.geodetic_e7(goal[0], goal[1]))
         return self._goal_wire[1]
+
+    def global_target(self) -> Point | None:
+        """Where POSITION_TARGET_GLOBAL_INT says that it is flying to; None where it says nothing."""
+        return self.manoeuvre.goal if self.armed and self.gps_ready else None
 
     def map_point(self, lat_e7: int, lon_e7: int, z: float) -> Point | None:
         """The map point of a position on the wire; None if it is not on the map."""
@@ -381,6 +387,8 @@ class SimVehicle(ABC):
 
     def _arm_disarm(self, command: Command, channel: Channel) -> int:
         force = command.param(2) == FORCE_ARM_MAGIC
+        if command.param(1) not in (0.0, 1.0):
+            return UNSUPPORTED
         if command.param(1) == 0.0:
             if not self.armed:
                 return ACCEPTED
@@ -392,7 +400,7 @@ class SimVehicle(ABC):
             return ACCEPTED
         if self.armed:
             return ACCEPTED
-        problem = None if force else self.prearm_problem() or self.arming_problem()
+        problem = None if force and self.FORCE_ARMS else self.prearm_problem() or self.arming_problem()
         if problem is not None:
             self.say(self.ARMING_REFUSED_TEXT.format(problem), mavlink.MAV_SEVERITY_CRITICAL)
             return self.ARMING_REFUSED_RESULT
@@ -426,6 +434,11 @@ class SimVehicle(ABC):
         if self.gps_ready:
             self.home = self.body.position
         self.say(self.ARMED_TEXT, mavlink.MAV_SEVERITY_INFO)
+        self.armed_now()
+
+    @abstractmethod
+    def armed_now(self) -> None:
+        """What arming sets off in the present mode."""
 
     ARMED_TEXT: ClassVar[str]
     DISARMED_TEXT: ClassVar[str]
@@ -444,9 +457,9 @@ class SimVehicle(ABC):
         """The mode after disarming."""
 
     def _set_message_interval(self, command: Command, channel: Channel) -> int:
-        kind, interval_us = int(command.param(1)), command.param(2)
+        kind, interval_us = command.integer(1), command.param(2)
         if kind not in BUILDERS:
-            return UNSUPPORTED
+            return DENIED
         if not math.isfinite(interval_us) or 0.0 < interval_us < 1000.0:
             return DENIED
         if interval_us == 0.0:
@@ -456,16 +469,16 @@ class SimVehicle(ABC):
         return ACCEPTED
 
     def _get_message_interval(self, command: Command, channel: Channel) -> int:
-        kind = int(command.param(1))
+        kind = command.integer(1)
         interval = channel.interval(kind)
         interval_us = 0 if kind not in BUILDERS else -1 if interval is None else round(interval * 1e6)
         channel.put(mavlink.MAVLink_message_interval_message(kind, interval_us))
         return ACCEPTED
 
     def _request_message(self, command: Command, channel: Channel) -> int:
-        builder = BUILDERS.get(int(command.param(1)))
+        builder = BUILDERS.get(command.integer(1))
         if builder is None:
-            return UNSUPPORTED
+            return self.UNKNOWN_REQUEST_RESULT
         message = builder(self)
         if message is None:
             return FAILED
