@@ -64,7 +64,7 @@ class Deployment:
 
     def __post_init__(self) -> None:
         def frozen(array: ArrayLike, dtype: type, shape: tuple[int, ...]) -> NDArray[np.generic]:
-            copy = np.array(array, dtype=dtype).reshape(shape)
+            copy: NDArray[np.generic] = np.array(array, dtype=dtype).reshape(shape)
             copy.flags.writeable = False
             return copy
 
@@ -152,7 +152,7 @@ def make_deployment(
     rate = np.zeros(len(positions))
     distance2 = ((positions[served] - centres[serving[served]]) ** 2).sum(axis=1)
     rate[served] = link.rate(power[served], distance2)
-    uav_rate = np.bincount(serving[served], weights=rate[served], minlength=len(cells))
+    uav_rate = np.bincount(serving[served], weights=rate[served], minlength=len(cells)).astype(np.float64)
     return Deployment(
         uav_positions=centres,
         serving_uav=serving,

@@ -23,6 +23,9 @@ RELATIVE_TOLERANCE = 1e-10
 #: Rounding of a coordinate relative to the extent of the centres: what is left where a radius is 0.
 COORDINATE_TOLERANCE = 1e-13
 
+#: Centre (x, y) and squared radius.
+Disc = tuple[float, float, float]
+
 
 def common_point(centres: ArrayLike, squared_radii: ArrayLike) -> Floats | None:
     """A point that all discs share, or None where there is none.
@@ -67,6 +70,66 @@ def deepest_common_point(
     return x, y
 
 
+def nearest_common_point(
+    x: float, y: float, xs: Sequence[float], ys: Sequence[float], squared_radii: Sequence[float]
+) -> tuple[float, float] | None:
+    """The point nearest to (x, y) that all discs share, in plain floats.
+
+    Found by pivoting, too: the nearest point is fixed by at most two discs, and as long as another one is missed,
+    the one missed by most enters. None where there is no common point, or the region is so small (about a point)
+    that rounding hides it.
+    """
+    if min(squared_radii) < 0:
+        return None
+    px, py, distance2 = x, y, -1.0
+    basis: list[Disc] = []
+    while True:
+        worst, entering = 0.0, None
+        for disc in zip(xs, ys, squared_radii, strict=True):
+            u, v, r2 = disc
+            excess = (px - u) ** 2 + (py - v) ** 2 - r2
+            if excess > worst and excess > RELATIVE_TOLERANCE * r2:
+                worst, entering = excess, disc
+        if entering is None:
+            return px, py
+        best = math.inf
+        candidates: list[tuple[tuple[Disc, ...], tuple[float, float]]] = []
+        if (x - entering[0]) ** 2 + (y - entering[1]) ** 2 > entering[2]:
+            candidates.append(((), _nearest_on_circle(x, y, entering)))
+        for other in basis:
+            candidates += [((other,), point) for point in _crossings(entering, other)]
+        for others, (cx, cy) in candidates:
+            apart2 = (cx - x) ** 2 + (cy - y) ** 2
+            if apart2 < best and all(
+                (cx - u) ** 2 + (cy - v) ** 2 <= r2 * (1 + RELATIVE_TOLERANCE) for u, v, r2 in basis
+            ):
+                best, kept, px, py = apart2, others, cx, cy
+        if not distance2 < best < math.inf:
+            return None
+        distance2, basis = best, [*kept, entering]
+
+
+def _nearest_on_circle(x: float, y: float, disc: Disc) -> tuple[float, float]:
+    """The point of a disc's circle nearest to (x, y), which lies outside."""
+    u, v, r2 = disc
+    scale = math.sqrt(r2 / ((x - u) ** 2 + (y - v) ** 2))
+    return u + (x - u) * scale, v + (y - v) * scale
+
+
+def _crossings(disc: Disc, other: Disc) -> list[tuple[float, float]]:
+    """The points where two circles cross; the touching point twice where rounding lets them just miss."""
+    ax, ay, offset = _radical_axis(disc, other)
+    length2 = ax * ax + ay * ay
+    if length2 == 0:
+        return []
+    fx, fy = offset * ax / length2, offset * ay / length2
+    across = math.sqrt(max(disc[2] - (fx * fx + fy * fy), 0.0) / length2)
+    return [
+        (disc[0] + fx - across * ay, disc[1] + fy + across * ax),
+        (disc[0] + fx + across * ay, disc[1] + fy - across * ax),
+    ]
+
+
 def _least_excess(xs: Sequence[float], ys: Sequence[float], squared_radii: Sequence[float]) -> tuple[float, float]:
     """The point that minimises max_k (|v - u_k|^2 - r_k^2)."""
     # Relative to the first centre, so that coordinates far from the origin lose no digits.
@@ -87,9 +150,6 @@ def _least_excess(xs: Sequence[float], ys: Sequence[float], squared_radii: Seque
         if solution is None or solution[2] <= value:
             return x + x0, y + y0
         x, y, value, basis = solution
-
-
-Disc = tuple[float, float, float]
 
 
 def _extended_basis(basis: list[Disc], entering: Disc) -> tuple[float, float, float, list[Disc]] | None:
