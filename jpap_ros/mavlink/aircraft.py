@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -104,6 +104,8 @@ class Aircraft:
         Puts a message on the way to this aircraft.
     deadman : PlanDeadman
         Shared by the fleet.
+    rates_hz : mapping of int to float
+        Telemetry to ask for [Hz], by message id.
     """
 
     def __init__(
@@ -114,6 +116,7 @@ class Aircraft:
         own: tuple[int, int],
         send: Callable[[Any], object],
         deadman: PlanDeadman,
+        rates_hz: Mapping[int, float],
     ) -> None:
         self.config = config
         self.settings = settings
@@ -134,12 +137,13 @@ class Aircraft:
         self.held_because = ""
         #: The operator took it out of the planner's hands: it flies home or lands.
         self.recalled = False
-        #: Set by who knows the routes: the system id is heard from several addresses.
+        #: Set by who knows the links: the system id is heard from several addresses; something else is wrong there.
         self.duplicates = ""
+        self.link_problem = ""
         self._frame = frame
         self._send = send
         self._deadman = deadman
-        self._streams = StreamRequests(self.commands, send, (config.sysid, AUTOPILOT_COMPONENT))
+        self._streams = StreamRequests(self.commands, send, (config.sysid, AUTOPILOT_COMPONENT), rates_hz)
         self._procedure: tuple[Procedure, Done] | None = None
         self._goal: Goal | None = None
         self._goal_target: Target | None = None
@@ -414,7 +418,7 @@ class Aircraft:
     def problems(self) -> list[str]:
         """What an operator should look into, each with what to do about it."""
         vehicle = self.vehicle
-        found = [self.identity_problem] if self.identity_problem else []
+        found = [problem for problem in (self.identity_problem, self.link_problem) if problem]
         if vehicle.link is not LinkState.CONNECTED:
             return found
         if self.commands.unanswered_in_row >= UNANSWERED_SUSPICIOUS:

@@ -14,15 +14,18 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from jpap_ros.fleet.config import FleetConfig, LinkUrl
+from jpap_ros.fleet.config import FleetConfig, LinkConfig
 from jpap_ros.mavlink import procedures
 from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings, Procedure
+from jpap_ros.mavlink.fleet_links import open_links
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal
 from jpap_ros.mavlink.guards import PlanDeadman
 from jpap_ros.mavlink.links import COMPONENT_ID, Link, LinkHub, Packet, Peer
+from jpap_ros.mavlink.routing import Forwarder
 from jpap_ros.mavlink.sightings import Sightings
 from jpap_ros.mavlink.snapshot import AircraftSnapshot, snapshot_of
+from jpap_ros.mavlink.streams import affordable_rates
 from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT
 
 HEARTBEAT_S = 1.0
@@ -101,7 +104,7 @@ class FleetController:
     Raises
     ------
     ValueError
-        If the bridge's own system id is that of a vehicle.
+        If the bridge's own system id is that of a vehicle, or a signing key cannot be used.
     OSError
         If a port cannot be listened on.
 
@@ -130,10 +133,13 @@ class FleetController:
         self._heartbeat_at = 0.0
         self._tick_s = 1.0 / max(TICK_HZ, settings.aircraft.setpoint_rate_hz)
         try:
-            links = {url: self._hub.open(url) for url in _urls(config)}
-        except OSError:
+            links = open_links(self._hub, config)
+        except (OSError, ValueError):
             self._hub.close()
             raise
+        own = (settings.sysid, COMPONENT_ID)
+        self._forwarder = Forwarder(self._hub, own, links.stations)
+        budgets = {link.url: _budget(link, settings.aircraft.setpoint_rate_hz) for link in config.vehicle_links}
         frame = LocalFrame(config.origin)
         self._members: dict[str, _Member] = {}
         for i, uav in enumerate(config.uavs):
@@ -141,11 +147,13 @@ class FleetController:
                 uav,
                 frame,
                 settings.aircraft,
-                (settings.sysid, COMPONENT_ID),
+                own,
                 partial(self._send, uav.name),
                 self._deadman,
+                budgets[uav.urls[0]][0],
             )
-            member = _Member(aircraft, [links[url] for url in uav.urls], settings.aircraft.link_timeout_s)
+            aircraft.link_problem = budgets[uav.urls[0]][1]
+            member = _Member(aircraft, [links.vehicles[url] for url in uav.urls], settings.aircraft.link_timeout_s)
             # Spread over the period, so that targets do not leave in a burst.
             member.tick_at = time.monotonic() + self._tick_s * i / len(config.uavs)
             self._members[uav.name] = member
@@ -264,6 +272,8 @@ class FleetController:
             self._hub.send(link, beat)
 
     def _receive(self, packet: Packet) -> None:
+        if not self._forwarder.on_packet(packet):
+            return
         message = packet.message
         member = self._by_sysid.get(message.get_srcSystem())
         if member is None or packet.link not in member.links:
@@ -327,9 +337,16 @@ class FleetController:
                 member.aircraft.tick(time.monotonic())
 
 
-def _urls(config: FleetConfig) -> list[LinkUrl]:
-    """Every url once: several aircraft may share a link."""
-    return list(dict.fromkeys(url for uav in config.uavs for url in uav.urls))
+def _budget(link: LinkConfig, setpoint_hz: float) -> tuple[dict[int, float], str]:
+    """Telemetry rates for the aircraft on a link, and what is wrong if it cannot even carry their targets."""
+    signed = link.signing_key_file is not None
+    rates, overloaded = affordable_rates(link.max_bytes_per_s, len(link.uavs), setpoint_hz, signed)
+    if not overloaded:
+        return rates, ""
+    return rates, (
+        f"{link.url} carries {link.max_bytes_per_s:g} byte/s, too little for heartbeats and {setpoint_hz:g} targets a "
+        f"second to {len(link.uavs)} aircraft: lower setpoint_rate_hz or use more links"
+    )
 
 
 def _procedure(order: FleetOrder, aircraft: Aircraft, delay_s: float) -> Procedure:

@@ -4,23 +4,35 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from jpap_ros.mavlink.budget import Budget, Stream, frame_size
 from jpap_ros.mavlink.commands import Command, CommandChannel, Pending
 
-#: Rates wanted [Hz] by message id.
-RATES_HZ: dict[int, float] = {
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 4.0,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 2.0,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 0.5,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.2,
+
+@dataclass(frozen=True)
+class Wanted:
+    """How often a message should come [Hz], how rarely it may, and how important it is (1 first)."""
+
+    rate_hz: float
+    min_rate_hz: float
+    priority: int
+
+
+#: By message id.
+WANTED: dict[int, Wanted] = {
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: Wanted(4.0, 0.5, 1),
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: Wanted(2.0, 0.5, 1),
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: Wanted(2.0, 0.4, 2),
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: Wanted(1.0, 0.2, 2),
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: Wanted(1.0, 0.2, 3),
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: Wanted(0.5, 0.0, 3),
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: Wanted(0.5, 0.1, 3),
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: Wanted(0.2, 0.1, 3),
 }
 #: What REQUEST_DATA_STREAM calls them, for an autopilot that does not know SET_MESSAGE_INTERVAL.
 _DATA_STREAMS_HZ = {
@@ -30,6 +42,42 @@ _DATA_STREAMS_HZ = {
 }
 #: Pause before what was not answered is asked for again, and between questions for home [s].
 RETRY_S = 5.0
+
+
+def affordable_rates(
+    max_bytes_per_s: float | None, aircraft: int, setpoint_hz: float, signed: bool
+) -> tuple[dict[int, float], bool]:
+    """Rates of telemetry [Hz] that fit on a link beside heartbeats and position targets.
+
+    Parameters
+    ----------
+    max_bytes_per_s : float or None
+        What the link carries in both directions; None: whatever is wanted.
+    aircraft : int
+        That share the link.
+    setpoint_hz : float
+        Position targets a second to each.
+    signed : bool
+
+    Returns
+    -------
+    (dict of int to float, bool)
+        Rates by message id, and whether even heartbeats and targets alone are too much.
+    """
+
+    def stream(message_id: int, wanted: Wanted) -> Stream:
+        size = aircraft * frame_size(message_id, signed)
+        return Stream(message_id, wanted.rate_hz, size, wanted.priority, wanted.min_rate_hz)
+
+    never_slowed = [
+        stream(mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT, Wanted(setpoint_hz, 0.0, 0)),
+        # Both ways.
+        stream(mavlink.MAVLINK_MSG_ID_HEARTBEAT, Wanted(2.0, 0.0, 0)),
+    ]
+    streams = never_slowed + [stream(message_id, wanted) for message_id, wanted in WANTED.items()]
+    allocation = Budget(max_bytes_per_s).allocate(streams)
+    rates = dict(zip(WANTED, allocation.rates_hz[len(never_slowed) :], strict=True))
+    return rates, allocation.overloaded
 
 
 class StreamRequests:
@@ -42,12 +90,21 @@ class StreamRequests:
         Puts a message on the way to the vehicle.
     target : (int, int)
         System and component id of the autopilot.
+    rates_hz : mapping of int to float
+        By message id; 0 switches a message off.
     """
 
-    def __init__(self, commands: CommandChannel, send: Callable[[Any], object], target: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        commands: CommandChannel,
+        send: Callable[[Any], object],
+        target: tuple[int, int],
+        rates_hz: Mapping[int, float],
+    ) -> None:
         self._commands = commands
         self._send = send
         self._target = target
+        self._rates_hz = rates_hz
         self._wanted: deque[int] = deque()
         self._asked: tuple[int, Pending] | None = None
         self._not_before = -math.inf
@@ -56,7 +113,7 @@ class StreamRequests:
 
     def restart(self) -> None:
         """Ask for everything: the vehicle is new, came back, or rebooted."""
-        self._wanted = deque(RATES_HZ)
+        self._wanted = deque(self._rates_hz)
         self._asked = None
         self._not_before = -math.inf
         self._home_not_before = -math.inf
@@ -67,9 +124,11 @@ class StreamRequests:
         self._take_answer(now)
         if self._wanted and self._asked is None and now >= self._not_before:
             message_id = self._wanted[0]
-            interval_us = 1e6 / RATES_HZ[message_id]
+            rate_hz = self._rates_hz[message_id]
+            # -1 switches it off.
+            interval_us = round(1e6 / rate_hz) if rate_hz > 0.0 else -1
             words = f"interval of message {message_id}"
-            ask = Command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (float(message_id), interval_us), words, True)
+            ask = Command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (float(message_id), float(interval_us)), words, True)
             self._asked = message_id, self._commands.start(ask, now)
         if not home_known and now >= self._home_not_before:
             self._home_not_before = now + RETRY_S
