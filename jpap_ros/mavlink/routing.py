@@ -39,7 +39,6 @@ URGENT_IDS = frozenset(
         dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE,
         dialect.MAVLINK_MSG_ID_COMMAND_INT,
         dialect.MAVLINK_MSG_ID_COMMAND_LONG,
-        dialect.MAVLINK_MSG_ID_COMMAND_CANCEL,
         dialect.MAVLINK_MSG_ID_COMMAND_ACK,
         dialect.MAVLINK_MSG_ID_STATUSTEXT,
     }
