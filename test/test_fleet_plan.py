@@ -14,7 +14,7 @@ from jpap_ros.fleet.plan import PlanSettings, plan_fleet
 from jpap_ros.planning import LinkBudget
 from jpap_ros.planning.devices import Device
 
-SCHEME = "kmeans_qdpa"
+SCHEME = "jpap"
 RATE = 16.0
 
 
@@ -142,3 +142,12 @@ def test_the_summary_counts():
     plan = FleetPlan((cell(0, 0, "a", "b", uav="x"),), (), 1, None, False, SCHEME)
     assert plan.summary() == "1 UAV serves 2 devices"
     assert plan.average_uav_rate == 2 * RATE
+
+
+@pytest.mark.parametrize(
+    ("needed", "bound", "proven", "gap"),
+    [(10, 8, False, 0.2), (8, 8, True, 0.0), (5, None, False, math.nan), (0, 0, False, 0.0)],
+)
+def test_the_gap_is_the_part_of_the_uavs_that_may_be_too_many(needed, bound, proven, gap):
+    plan = FleetPlan((), (), needed, bound, proven, SCHEME)
+    assert plan.gap == pytest.approx(gap, nan_ok=True)

@@ -79,6 +79,15 @@ class FleetPlan:
         """Mean of the cells' rates [bit/s]; NaN without cells."""
         return math.fsum(cell.uav_rate for cell in self.cells) / len(self.cells) if self.cells else math.nan
 
+    @property
+    def gap(self) -> float:
+        """How far `uavs_needed` may be from the least possible, as a part of it; NaN without a bound."""
+        if self.proven_optimal:
+            return 0.0
+        if self.min_uavs_bound is None:
+            return math.nan
+        return (self.uavs_needed - self.min_uavs_bound) / max(self.uavs_needed, 1)
+
     def summary(self) -> str:
         """Say it in words."""
         served = sum(len(cell.device_ids) for cell in self.cells)

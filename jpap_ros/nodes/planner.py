@@ -27,7 +27,7 @@ from jpap_ros.fleet.config import load_fleet
 from jpap_ros.fleet.events import Events
 from jpap_ros.fleet.plan import PlanSettings, plan_fleet
 from jpap_ros.mavlink.geodesy import LocalFrame
-from jpap_ros.nodes import conversions
+from jpap_ros.nodes import planner_conversions as conversions
 from jpap_ros.nodes.lifecycle import ManagedNode
 from jpap_ros.nodes.parameters import declare, values
 from jpap_ros.nodes.planner_diagnostics import PlannerHealth
@@ -190,6 +190,8 @@ class PlannerNode(ManagedNode):
         after = self._aircraft(name)
         # A restarted planner counts on from the plans that aircraft still follow.
         self._health.plan_id = max(self._health.plan_id, state.goal_plan_id)
+        if before.connected != after.connected:
+            self.get_logger().info(f"{name} is {'heard' if after.connected else 'no longer heard'}")
         if before.available == after.available:
             return
         self.get_logger().info(f"{name} {after.unavailable or 'is available'}")

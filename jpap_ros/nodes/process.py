@@ -15,7 +15,8 @@ from rclpy.utilities import remove_ros_args
 from jpap_ros.fleet.config import FleetFileError
 from jpap_ros.nodes.parameters import StartError
 
-_EXPECTED = (StartError, FleetFileError, NameValidationException)
+_CANNOT_START = (StartError, FleetFileError, NameValidationException)
+_WRONG_COMMAND_LINE = (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError)
 
 
 def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
@@ -35,23 +36,26 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         command line was wrong.
     """
     command = list(sys.argv if args is None else args)
-    node = None
     try:
         rclpy.init(args=command)
+    except _WRONG_COMMAND_LINE as error:
+        return _fail(2, str(error))
+    node = None
+    try:
         if unknown := remove_ros_args(command)[1:]:
             return _fail(2, f"unknown argument {unknown[0]!r}; parameters follow --ros-args, e.g. -p name:=value")
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         executor.spin()
-    except _EXPECTED as error:
-        return _fail(1, str(error))
-    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError) as error:
-        if node is not None:
-            raise
-        return _fail(2, str(error))
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception as error:
+        # A signal shuts ROS down at once, so that whatever a callback or the start was just doing fails: no fault.
+        if rclpy.ok():
+            if isinstance(error, _CANNOT_START):
+                return _fail(1, str(error))
+            raise
     finally:
         if node is not None:
             node.destroy_node()

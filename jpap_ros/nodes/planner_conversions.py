@@ -99,6 +99,7 @@ def deployment_message(
         uavs_needed=plan.uavs_needed,
         min_uavs_bound=-1 if plan.min_uavs_bound is None else plan.min_uavs_bound,
         proven_optimal=plan.proven_optimal,
+        gap=plan.gap,
         average_uav_rate=plan.average_uav_rate,
         planning_time=_duration(planning_time_s),
     )
