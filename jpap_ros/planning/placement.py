@@ -30,7 +30,7 @@ from jpap_ros.planning.geometry import RELATIVE_TOLERANCE, deepest_common_point,
 from jpap_ros.planning.link_budget import Floats, LinkBudget, snr_demand
 
 #: The position found gives at most this much less than the best one [bit/s/Hz].
-RATE_TOLERANCE = 5e-4
+RATE_TOLERANCE = 9e-4
 #: A climb ends when a step is shorter than this part of the altitude.
 STEP_TOLERANCE = 1e-7
 #: Most steps of one climb. It only costs time where a climb ends early: the branch and bound still decides.
@@ -139,10 +139,7 @@ class _Cell:
 
     def covers(self, x: float, y: float) -> bool:
         """Whether (x, y) lies in every coverage radius."""
-        for u, v, _, r2 in self.devices:
-            if (x - u) ** 2 + (y - v) ** 2 > r2:
-                return False
-        return True
+        return all((x - u) ** 2 + (y - v) ** 2 <= r2 for u, v, _, r2 in self.devices)
 
     def value(self, x: float, y: float) -> float:
         """Sum rate (12a) [nat/s/Hz]."""
@@ -209,14 +206,16 @@ class _Cell:
             bound, px, py, west, east, south, north = heapq.heappop(boxes)
             if -bound <= target:
                 return x, y
-            px, py = self.nearest(px, py)
-            found = self.value(px, py)
-            if found > target:
-                x, y = self.climb(px, py)
-                value = self.value(x, y)
-                if value < found:  # Newton's steps may lead astray.
-                    x, y, value = px, py, found
-                target = value + tolerance
+            # A position is tried only where the bound is close to what can be had: one within the tolerance of it.
+            if -bound - target <= tolerance:
+                px, py = self.nearest(px, py)
+                found = self.value(px, py)
+                if found > target:
+                    x, y = self.climb(px, py)
+                    value = self.value(x, y)
+                    if value < found:  # Newton's steps may lead astray.
+                        x, y, value = px, py, found
+                    target = value + tolerance
             if east - west >= north - south:
                 middle = (west + east) / 2
                 fresh = [(west, middle, south, north), (middle, east, south, north)]
