@@ -30,10 +30,14 @@ class LinkOptions:
         Of a `udpin` link: a sender silent for so long is forgotten [s].
     connect_timeout_s : float
         Of a `tcp` link: how long one attempt may take [s].
+    unanswered_s : float
+        Of a `tcp` link: bytes not taken by the other side for so long end the connection, and with it what waits
+        in the buffers: a command delivered late is worse than none [s].
     first_retry_s, max_retry_s : float
         Of a `tcp` or `serial` link: pause after the first failed attempt, doubled up to the second value [s].
     max_pending_bytes : int
-        Bytes kept for a remote end that does not read; further frames are dropped whole.
+        Of a `tcp` or `serial` link: bytes kept while the system takes none; further frames are dropped whole. A
+        serial link keeps no more than a quarter of a second's worth.
     """
 
     signer: Signer | None = None
@@ -41,9 +45,10 @@ class LinkOptions:
     max_peers: int = 512
     forget_peer_s: float = 60.0
     connect_timeout_s: float = 5.0
+    unanswered_s: float = 3.0
     first_retry_s: float = 0.25
     max_retry_s: float = 5.0
-    max_pending_bytes: int = 65_536
+    max_pending_bytes: int = 4096
 
 
 class Peer:

@@ -6,16 +6,21 @@ import errno
 import os
 import selectors
 import socket
+import termios
 from abc import abstractmethod
 from collections.abc import Iterator
 
 import serial
 
 from jpap_ros.fleet.config import LinkUrl
+from jpap_ros.mavlink.frame import MAX_BYTES
 from jpap_ros.mavlink.link import Link, LinkOptions, Peer
 from jpap_ros.mavlink.resolver import Resolver
 
 _CHUNK_BYTES = 65_536
+_SEND_BUFFER_BYTES = 32_768
+_BITS_A_BYTE = 10
+_SERIAL_BACKLOG_S = 0.25
 
 
 class StreamLink(Link):
@@ -29,6 +34,7 @@ class StreamLink(Link):
         self._open = False
         self._opened_before = False
         self._pending = bytearray()
+        self._max_pending = options.max_pending_bytes
         self._retry_at = float("-inf")
         self._pause_s = options.first_retry_s
 
@@ -64,7 +70,7 @@ class StreamLink(Link):
 
     def transmit(self, data: bytes, peer: Peer) -> bool:
         """Send one frame now, or keep what the system does not take yet."""
-        if self._fd is None or not self._open or len(self._pending) + len(data) > self.options.max_pending_bytes:
+        if self._fd is None or not self._open or len(self._pending) + len(data) > self._max_pending:
             return False
         if self._pending:
             self._pending += data
@@ -165,6 +171,8 @@ class TcpClient(StreamLink):
         self._socket.setblocking(False)
         # A setpoint must not wait for the acknowledgement of the one before.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * self.options.unanswered_s))
         self._register(self._socket.fileno(), selectors.EVENT_WRITE)
         self._give_up_at = now + self.options.connect_timeout_s
         code = self._socket.connect_ex(address)
@@ -195,6 +203,7 @@ class SerialPort(StreamLink):
     def __init__(self, url: LinkUrl, options: LinkOptions, index: int, selector: selectors.BaseSelector) -> None:
         super().__init__(url, options, index, selector)
         self._port: serial.Serial | None = None
+        self._max_pending = min(options.max_pending_bytes, int(_SERIAL_BACKLOG_S * url.port / _BITS_A_BYTE) + MAX_BYTES)
 
     def service(self, now: float) -> float:
         """Open the port if it is there."""
@@ -208,7 +217,7 @@ class SerialPort(StreamLink):
                 self.url.host, self.url.port, timeout=0, write_timeout=0, exclusive=True, rtscts=False
             )
             self._register(self._port.fileno(), selectors.EVENT_READ)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, termios.error) as error:
             self._release()
             self._break(now, str(error))
             return self._retry_at

@@ -159,13 +159,15 @@ class UdpSender(UdpLink):
             self.problem = f"the address of {self.url.host!r} is not known yet"
             return now + self.options.max_retry_s
         family, address = found
-        sock = self._open(family)
+        sock = None
         try:
+            sock = self._open(family)
             # The kernel then drops datagrams from any other address.
             sock.connect(address)
         except OSError as error:
-            sock.close()
-            self.problem = f"{self.url}: {error.strerror}"
+            if sock is not None:
+                sock.close()
+            self.problem = error.strerror or str(error)
             return now + self.options.max_retry_s
         self._start(sock)
         self.problem = ""

@@ -67,6 +67,7 @@ class LinkHub:
         self._selector = selectors.DefaultSelector()
         self._links: list[Link] = []
         self._service_at: dict[Link, float] = {}
+        self._next_service = float("inf")
         self._buckets: dict[Link, TokenBucket] = {}
         self._packer = dialect.MAVLink(None, srcSystem=sysid, srcComponent=component)
         self._wake_receiver, self._wake_sender = socket.socketpair()
@@ -101,6 +102,7 @@ class LinkHub:
             link = SerialPort(url, options, index, self._selector)
         self._links.append(link)
         self._service_at[link] = link.service(self._clock())
+        self._next_service = min(self._next_service, self._service_at[link])
         if options.max_bytes_per_s is not None:
             self._buckets[link] = TokenBucket(options.max_bytes_per_s, self._clock())
         return link
@@ -110,8 +112,7 @@ class LinkHub:
 
         Also connects, reconnects, sends what could not be sent before, and forgets silent remote ends.
         """
-        now = self._clock()
-        wait_s = max(0.0, min([timeout_s, *(due - now for due in self._service_at.values())]))
+        wait_s = max(0.0, min(timeout_s, self._next_service - self._clock()))
         packets: list[Packet] = []
         for key, events in self._selector.select(wait_s):
             link = key.data
@@ -124,12 +125,17 @@ class LinkHub:
             if events & selectors.EVENT_WRITE:
                 link.write_ready(now)
             if not link.up:
-                self._service_at[link] = now
+                self._service_soon(link)
         now = self._clock()
-        for link, due in self._service_at.items():
-            if due <= now:
-                self._service_at[link] = link.service(now)
+        if now >= self._next_service:
+            for link, due in self._service_at.items():
+                if due <= now:
+                    self._service_at[link] = link.service(now)
+            self._next_service = min(self._service_at.values(), default=float("inf"))
         return packets
+
+    def _service_soon(self, link: Link) -> None:
+        self._service_at[link] = self._next_service = float("-inf")
 
     def _receive(self, link: Link, now: float) -> Iterator[Packet]:
         statistics = link.statistics
@@ -229,7 +235,7 @@ class LinkHub:
         # Perhaps it was the resolver, and a link can be opened now.
         for link in self._links:
             if not link.up:
-                self._service_at[link] = float("-inf")
+                self._service_soon(link)
 
     def close(self) -> None:
         """Close all links."""
