@@ -35,6 +35,8 @@ RATE_TOLERANCE = 9e-4
 STEP_TOLERANCE = 1e-7
 #: Most steps of one climb. It only costs time where a climb ends early: the branch and bound still decides.
 MAX_STEPS = 60
+#: Side of a box, in parts of the altitude, below which the rate hardly varies within it.
+SMALL_BOX = 0.25
 #: Most circles whose constraint enters the bound of one box.
 MAX_MULTIPLIERS = 4
 
@@ -127,6 +129,7 @@ class _Cell:
         self.xs, self.ys, self.squared_radii, self.feasible = xs, ys, squared_radii, feasible
         self.height2 = height2
         self.step2 = STEP_TOLERANCE**2 * height2
+        self.small_side = SMALL_BOX * math.sqrt(height2)
         self.devices = list(zip(xs, ys, strengths, squared_radii, strict=True))
 
     def best(self) -> tuple[float, float]:
@@ -206,8 +209,10 @@ class _Cell:
             bound, px, py, west, east, south, north = heapq.heappop(boxes)
             if -bound <= target:
                 return x, y
-            # A position is tried only where the bound is close to what can be had: one within the tolerance of it.
-            if -bound - target <= tolerance:
+            # A position is tried where it may lift the target above the bound, or where the box is so small that the
+            # bound is near what its positions give. Without the second, a box better than the target by far would be
+            # split for ever.
+            if -bound - target <= tolerance or max(east - west, north - south) <= self.small_side:
                 px, py = self.nearest(px, py)
                 found = self.value(px, py)
                 if found > target:
