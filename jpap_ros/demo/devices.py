@@ -8,53 +8,59 @@ from pathlib import Path
 
 import numpy as np
 
+from jpap_ros.mavlink.geodesy import LocalFrame
+
 
 @dataclass(frozen=True)
-class GeoSite:
+class Site:
     """A device as the demo reports it.
 
     Attributes
     ----------
     id : str
-    latitude, longitude : float
-        WGS-84 [deg].
+    east_m, north_m : float
+        [m], map frame.
     rate_demand : float
         [bit/s] at the planner's default bandwidth of 1 Hz.
+    weight : float
+        Priority.
     """
 
     id: str
-    latitude: float
-    longitude: float
+    east_m: float
+    north_m: float
     rate_demand: float
+    weight: float = 1.0
 
 
-def sample_users(path: Path, count: int, demand: tuple[float, float], seed: int) -> list[GeoSite]:
-    """Draw users from the EUA data set, without replacement, with uniform demands.
+class SiteSource:
+    """Draws users of the EUA data set, each once.
 
     Parameters
     ----------
     path : Path
         CSV with the columns Latitude and Longitude.
-    count : int
-        How many; at most as many as the file has.
-    demand : (float, float)
-        Least and largest rate demand [bit/s/Hz].
+    frame : LocalFrame
+        Where the map lies.
     seed : int
         The same seed gives the same devices.
-
-    Raises
-    ------
-    ValueError
-        If the file has fewer users than asked for.
     """
-    with path.open(newline="", encoding="utf-8") as file:
-        users = [(float(row["Latitude"]), float(row["Longitude"])) for row in csv.DictReader(file)]
-    if count > len(users):
-        raise ValueError(f"{path.name} has {len(users)} users, {count} were asked for")
-    rng = np.random.default_rng(seed)
-    chosen = rng.choice(len(users), size=count, replace=False)
-    demands = rng.uniform(*demand, size=count)
-    return [
-        GeoSite(f"user{index:03d}", *users[index], rate_demand=round(float(rate), 3))
-        for index, rate in zip(chosen, demands, strict=True)
-    ]
+
+    def __init__(self, path: Path, frame: LocalFrame, seed: int) -> None:
+        with path.open(newline="", encoding="utf-8") as file:
+            self._users = [frame.to_map(float(r["Latitude"]), float(r["Longitude"])) for r in csv.DictReader(file)]
+        self._rng = np.random.default_rng(seed)
+        self._left = list(self._rng.permutation(len(self._users)))
+
+    def draw(self, count: int, demand: tuple[float, float]) -> list[Site]:
+        """Take users that are left, with demands uniform between two bounds [bit/s/Hz]; ValueError if too few are."""
+        if count > len(self._left):
+            raise ValueError(
+                f"{count} devices were asked for, of {len(self._users)} users only {len(self._left)} are left"
+            )
+        chosen, self._left = self._left[:count], self._left[count:]
+        demands = self._rng.uniform(*demand, size=count)
+        return [
+            Site(f"user{index:03d}", *self._users[index], rate_demand=round(float(rate), 3))
+            for index, rate in zip(chosen, demands, strict=True)
+        ]

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
-import numpy as np
+from geometry_msgs.msg import PoseStamped
 from jpap_msgs.msg import Deployment, GeoDevice, GeoDeviceUpdate, VehicleState
 from jpap_msgs.srv import FleetCommand
 from rclpy.node import Node
 from rclpy.task import Future
+from std_msgs.msg import String
 
-from jpap_ros.demo.devices import GeoSite
-from jpap_ros.nodes.qos import DEVICES, LATCHED
+from jpap_ros.demo.devices import Site
+from jpap_ros.mavlink.geodesy import LocalFrame
+from jpap_ros.nodes.qos import DEVICES, LATCHED, SENSOR_DATA
+
+#: Below this height an aircraft is on or near its pad, where it stands beside others.
+FLYING_ABOVE_M = 2.0
+_TRACK_STEP_M = 1.0
 
 
 class Operator(Node):
@@ -21,50 +28,79 @@ class Operator(Node):
     ----------
     uavs : iterable of str
         Names in the fleet file.
+    frame : LocalFrame
+        Where the map lies; devices are reported in latitude and longitude.
     """
 
-    def __init__(self, uavs: Iterable[str]) -> None:
+    def __init__(self, uavs: Iterable[str], frame: LocalFrame) -> None:
         super().__init__("operator")
         self.deployment: Deployment | None = None
         self.states: dict[str, VehicleState] = {}
         self.tracks: dict[str, list[tuple[float, float]]] = {}
+        self.least_separation_m = math.inf
+        self._frame = frame
+        self._flying: dict[str, tuple[float, float, float]] = {}
         self._devices = self.create_publisher(GeoDeviceUpdate, "geo_devices", DEVICES)
+        self._faults = self.create_publisher(String, "sim/fault", 10)
         self.create_subscription(Deployment, "deployment", self._on_deployment, LATCHED)
-        for name in uavs:
+        self._uavs = tuple(uavs)
+        for name in self._uavs:
             self.create_subscription(VehicleState, f"{name}/state", self._on_state, LATCHED)
+            self.create_subscription(
+                PoseStamped, f"{name}/pose", lambda message, name=name: self._on_pose(name, message), SENSOR_DATA
+            )
         self._launch = self.create_client(FleetCommand, "bridge/launch")
 
-    def report(self, sites: Iterable[GeoSite]) -> None:
-        """Report that devices have joined."""
-        update = GeoDeviceUpdate()
+    def report(self, sites: Iterable[Site], departed: Iterable[str] = ()) -> None:
+        """Report devices that joined or changed, and ids that left."""
+        update = GeoDeviceUpdate(departed=list(departed))
         update.header.stamp = self.get_clock().now().to_msg()
-        update.devices = [
-            GeoDevice(
-                id=site.id, latitude=site.latitude, longitude=site.longitude, rate_demand=site.rate_demand, weight=1.0
+        for site in sites:
+            latitude, longitude = self._frame.to_geodetic(site.east_m, site.north_m)
+            update.devices.append(
+                GeoDevice(
+                    id=site.id,
+                    latitude=latitude,
+                    longitude=longitude,
+                    rate_demand=site.rate_demand,
+                    weight=site.weight,
+                )
             )
-            for site in sites
-        ]
         self._devices.publish(update)
 
     def launch(self, uavs: Iterable[str]) -> Future:
         """Ask the bridge to arm and take off."""
         return self._launch.call_async(FleetCommand.Request(uavs=sorted(uavs)))
 
-    @property
+    def strike(self, uav: str, fault: str, argument: str) -> None:
+        """Let a fault strike a simulated vehicle."""
+        self._faults.publish(String(data=f"{uav} {fault} {argument}".rstrip()))
+
     def ready(self) -> bool:
-        """Whether the planner listens and the bridge serves."""
-        return self._devices.get_subscription_count() > 0 and self._launch.service_is_ready()
+        """Whether the planner listens, the bridge serves and every aircraft has been seen."""
+        return (
+            self._devices.get_subscription_count() > 0
+            and self._faults.get_subscription_count() > 0
+            and self._launch.service_is_ready()
+            and all(
+                name in self.states and self.states[name].link == VehicleState.LINK_CONNECTED for name in self._uavs
+            )
+        )
+
+    def knows(self, device_ids: set[str]) -> bool:
+        """Whether the present deployment speaks of exactly these devices, served or not."""
+        plan = self.deployment
+        if plan is None:
+            return False
+        return device_ids == self._served() | {item.id for item in plan.unserved}
 
     def serves(self, device_ids: set[str]) -> bool:
-        """Whether the present deployment knows exactly these devices and serves every one."""
-        return self.deployment is not None and device_ids == {
-            device for cell in self.deployment.cells for device in cell.device_ids
-        }
+        """Whether the present deployment serves exactly these devices and leaves none out."""
+        return self.deployment is not None and not self.deployment.unserved and device_ids == self._served()
 
     def all_reached(self) -> bool:
         """Whether every cell's aircraft hovers at its goal of the present deployment."""
-        assert self.deployment is not None
-        return all(self.reached(cell.uav) for cell in self.deployment.cells)
+        return self.deployment is not None and all(self.reached(cell.uav) for cell in self.deployment.cells)
 
     def reached(self, uav: str) -> bool:
         """Whether an aircraft hovers at its goal of the present deployment."""
@@ -76,13 +112,41 @@ class Operator(Node):
             and state.goal_plan_id == self.deployment.plan_id
         )
 
+    def flies(self, uav: str) -> bool:
+        """Whether an aircraft is in the air."""
+        return uav in self._flying
+
+    def troubles(self) -> str:
+        """Say what stands in the way: devices left out, aircraft that are not at their goals."""
+        plan = self.deployment
+        if plan is None:
+            return ": no deployment was published"
+        left_out = [f"{item.id}: {item.reason}" for item in plan.unserved]
+        late = [
+            f"{cell.uav}: {self.states[cell.uav].goal_reason or 'on its way'}"
+            for cell in plan.cells
+            if cell.uav in self.states and not self.reached(cell.uav)
+        ]
+        return "".join(f"; {trouble}" for trouble in left_out + late)
+
+    def _served(self) -> set[str]:
+        return {device for cell in self.deployment.cells for device in cell.device_ids} if self.deployment else set()
+
     def _on_deployment(self, message: Deployment) -> None:
         self.deployment = message
 
     def _on_state(self, message: VehicleState) -> None:
         self.states[message.uav] = message
-        if message.position_valid:
-            track = self.tracks.setdefault(message.uav, [])
-            here = (message.position.x, message.position.y)
-            if not track or np.hypot(here[0] - track[-1][0], here[1] - track[-1][1]) > 1.0:
-                track.append(here)
+
+    def _on_pose(self, name: str, message: PoseStamped) -> None:
+        point = message.pose.position
+        here = (point.x, point.y, point.z)
+        track = self.tracks.setdefault(name, [])
+        if not track or math.dist(here[:2], track[-1]) > _TRACK_STEP_M:
+            track.append(here[:2])
+        if point.z < FLYING_ABOVE_M:
+            self._flying.pop(name, None)
+            return
+        self._flying[name] = here
+        others = (math.dist(here, there) for other, there in self._flying.items() if other != name)
+        self.least_separation_m = min(self.least_separation_m, min(others, default=math.inf))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
+from std_msgs.msg import String
 
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.nodes.parameters import Param, StartError, declare, fleet_file, values
@@ -61,6 +62,7 @@ class SimNode(Node):
         self._started = time.monotonic()
         self.create_timer(1.0, self._report)
         self.create_timer(_FAULT_PERIOD_S, self._strike)
+        self.create_subscription(String, "sim/fault", self._on_fault, 10)
         fleet.start()
         self.get_logger().info(f"{len(config.uavs)} simulated vehicles fly at {settings['speedup']:g} times real time")
 
@@ -69,6 +71,13 @@ class SimNode(Node):
         if self._fleet is not None:
             self._fleet.close()
         super().destroy_node()
+
+    def _on_fault(self, message: String) -> None:
+        """`<uav> <fault> [argument]`, to strike now."""
+        try:
+            self._faults.add(f"0 {message.data}")
+        except ValueError as error:
+            self.get_logger().error(f"sim/fault: {error}")
 
     def _strike(self) -> None:
         try:

@@ -90,10 +90,17 @@ class FaultSchedule:
 
     def __init__(self, fleet: SimFleet, lines: Iterable[str]) -> None:
         self._fleet = fleet
-        self._left = sorted((ScheduledFault.parse(line) for line in lines), key=lambda fault: fault.time_s)
-        for fault in self._left:
-            if fault.uav not in fleet.vehicles:
-                raise ValueError(f"a fault names {fault.uav!r}, which is not in the fleet")
+        self._left: list[ScheduledFault] = []
+        for line in lines:
+            self.add(line)
+
+    def add(self, line: str) -> None:
+        """Add one fault; ValueError if the line is wrong or names no vehicle of the fleet."""
+        fault = ScheduledFault.parse(line)
+        if fault.uav not in self._fleet.vehicles:
+            raise ValueError(f"a fault names {fault.uav!r}, which is not in the fleet")
+        self._left.append(fault)
+        self._left.sort(key=lambda fault: fault.time_s)
 
     def strike(self, elapsed_s: float) -> list[ScheduledFault]:
         """Let everything happen whose time has come; return it. ValueError if an argument is wrong."""
