@@ -16,6 +16,7 @@ from mavlink_frames import command_long, heartbeat
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from jpap_ros.fleet.config import LinkUrl
+from jpap_ros.mavlink.link_report import LinkReport
 from jpap_ros.mavlink.links import Link, LinkHub, LinkOptions, Packet
 
 BEAT = dialect.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
@@ -388,6 +389,26 @@ class TestHub:
             assert link.statistics.sent.messages == 1
             assert link.statistics.sent.bytes == 21
             assert link.statistics.received.rates(now[0] + 60.0) == (0.0, 0.0)
+
+    def test_a_report_says_how_a_link_is_doing(self, vehicle: socket.socket) -> None:
+        now = [1000.0]
+        with LinkHub(245, clock=lambda: now[0]) as hub:
+            link, address = listen(hub, LinkOptions(max_bytes_per_s=4000.0))
+            for sequence in (0, 1, 3):
+                vehicle.sendto(heartbeat(7, sequence=sequence) + b"??", address)
+            receive(hub, 3)
+            hub.send(link, BEAT)
+            now[0] += 1.0
+            report = LinkReport.of(link, now[0])
+            assert (report.up, report.problem, report.signed, report.peers) == (True, "", False, 1)
+            # Three heartbeats of 21 bytes came within the last five seconds, and one went out.
+            assert report.received_per_s == pytest.approx(3 / 5)
+            assert report.received_bytes_per_s == pytest.approx(63 / 5)
+            assert report.sent_bytes_per_s == pytest.approx(21 / 5)
+            assert report.loss == pytest.approx(1 / 4)
+            assert report.source_loss == ((7, 1, pytest.approx(1 / 4)),)
+            assert report.skipped_bytes == 6
+            assert report.max_bytes_per_s == 4000.0
 
     def test_a_gap_over_an_outage_is_not_called_loss(self, vehicle: socket.socket) -> None:
         now = [1000.0]

@@ -15,6 +15,9 @@ from jpap_ros.mavlink.frame import (
 )
 from jpap_ros.mavlink.statistics import LinkStatistics
 
+# A debugging switch that pymavlink takes from the environment would let damaged frames through to the aircraft.
+dialect.MAVLINK_IGNORE_CRC = 0
+
 # Decodes one whole frame at a time and keeps no state, so all streams share it.
 _decoder = dialect.MAVLink(None)
 

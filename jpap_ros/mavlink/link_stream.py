@@ -50,7 +50,7 @@ class StreamLink(Link):
 
     @abstractmethod
     def _release(self) -> None:
-        """Close what was opened."""
+        """Close what was opened, if anything was."""
 
     def read(self, now: float) -> Iterator[tuple[Peer, memoryview]]:
         """One chunk of bytes."""
@@ -106,7 +106,7 @@ class StreamLink(Link):
         if self._fd is not None:
             self._selector.unregister(self._fd)
             self._fd = None
-            self._release()
+        self._release()
         self._open = False
         self._pending.clear()
 
@@ -218,7 +218,6 @@ class SerialPort(StreamLink):
             )
             self._register(self._port.fileno(), selectors.EVENT_READ)
         except (OSError, ValueError, termios.error) as error:
-            self._release()
             self._break(now, str(error))
             return self._retry_at
         self._connected()
