@@ -279,7 +279,7 @@ class Aircraft:
         self.authority.release("the autopilot rebooted; call bridge/launch")
         self.streaming = self.goals_open = False
         self.enu_m = None
-        if self.life.flying:
+        if self.life.flying or self.life.state is GoalState.YIELDED:
             self.life.set_aside(GoalState.LOST, self.authority.reason)
         self.stop_procedure("the autopilot rebooted")
 
@@ -312,7 +312,9 @@ class Aircraft:
         if self._procedure is not None:
             self._step(*self._procedure)
         if self.autopilot is not None and self.vehicle.link is LinkState.CONNECTED and not self.duplicates:
-            self._streams.tick(now, self.vehicle.home is not None)
+            position = self.vehicle.position
+            position_at = -math.inf if position is None else position.received_at
+            self._streams.tick(now, self.vehicle.home is not None, position_at)
         self._fly()
 
     def _step(self, procedure: Procedure, done: Done) -> None:

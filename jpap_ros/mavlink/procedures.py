@@ -38,21 +38,21 @@ def launch(aircraft: Aircraft, delay_s: float = 0.0) -> Procedure:
     """
     aircraft.held_because = ""
     aircraft.recalled = False
-    if aircraft.vehicle.link is LinkState.CONNECTED and aircraft.vehicle.in_air:
+    height_m = aircraft.settings.takeoff_height_m
+    if problem := _takeoff_problem(aircraft, height_m):
+        raise ProcedureFailed(problem)
+    if not aircraft.vehicle.in_air:
+        yield from _pause(aircraft, delay_s)
+    timeout_s = aircraft.settings.ready_timeout_s
+    if not (yield from _until(aircraft, lambda: not _not_ready(aircraft), timeout_s, needs_link=False)):
+        raise ProcedureFailed(f"not ready: {_not_ready(aircraft)}")
+    if aircraft.vehicle.in_air:
         if aircraft.authority.ours and aircraft.goals_open and aircraft.mode == aircraft.goal_mode:
             return "in the air and flying its goals already"
         yield from _open_to_goals(aircraft)
         return "in the air already; flies its goals now"
-    if aircraft.vehicle.landed_state in (mavlink.MAV_LANDED_STATE_TAKEOFF, mavlink.MAV_LANDED_STATE_LANDING):
+    if not aircraft.vehicle.on_ground:
         raise ProcedureFailed("it is taking off or landing; call again when it is in the air or on the ground")
-    height_m = aircraft.settings.takeoff_height_m
-    if problem := _takeoff_problem(aircraft, height_m):
-        raise ProcedureFailed(problem)
-    yield from _pause(aircraft, delay_s)
-    settings = aircraft.settings
-    ready = yield from _until(aircraft, lambda: not _not_ready(aircraft), settings.ready_timeout_s, needs_link=False)
-    if not ready:
-        raise ProcedureFailed(f"not ready: {_not_ready(aircraft)}")
     autopilot = _autopilot(aircraft)
     aircraft.authority.take({aircraft.mode}, aircraft.now)
     if autopilot.mode_before_takeoff is not None:
@@ -141,7 +141,7 @@ def _takeoff_problem(aircraft: Aircraft, height_m: float) -> str | None:
 
 
 def _not_ready(aircraft: Aircraft) -> str:
-    """What an aircraft on the ground lacks for a take-off; empty if nothing."""
+    """What an aircraft lacks for a launch; empty if nothing."""
     vehicle = aircraft.vehicle
     if vehicle.link is LinkState.NEVER_SEEN:
         return "never heard"
@@ -157,6 +157,10 @@ def _not_ready(aircraft: Aircraft) -> str:
         return "home is not set"
     if vehicle.critical:
         return f"the autopilot reports MAV_STATE {vehicle.system_status}"
+    if vehicle.in_air:
+        return ""
+    if not vehicle.health_known:
+        return "its health is not known (no SYS_STATUS)"
     if vehicle.prearm_ok is False:
         words = vehicle.words_since(aircraft.now - aircraft.settings.ready_timeout_s)
         return f"the pre-arm check fails{': ' + words if words else ''}"

@@ -40,6 +40,8 @@ _DATA_STREAMS_HZ = {
     mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: 2,
     mavlink.MAV_DATA_STREAM_EXTRA3: 1,
 }
+#: Without a position for this long everything is asked for again: a reboot forgets what was asked before [s].
+SILENCE_S = 3.0
 #: Pause before what was not answered is asked for again, and between questions for home [s].
 RETRY_S = 5.0
 
@@ -110,6 +112,7 @@ class StreamRequests:
         self._not_before = -math.inf
         self._home_not_before = -math.inf
         self._fell_back = False
+        self._done_at = -math.inf
 
     def restart(self) -> None:
         """Ask for everything: the vehicle is new, came back, or rebooted."""
@@ -119,9 +122,18 @@ class StreamRequests:
         self._home_not_before = -math.inf
         self._fell_back = False
 
-    def tick(self, now: float, home_known: bool) -> None:
-        """Ask the next question, if it is time."""
+    def tick(self, now: float, home_known: bool, position_at: float) -> None:
+        """Ask the next question, if it is time.
+
+        Parameters
+        ----------
+        home_known : bool
+        position_at : float
+            When a position was last heard, same clock; minus infinity: never.
+        """
         self._take_answer(now)
+        if not self._wanted and now - max(position_at, self._done_at) > SILENCE_S:
+            self.restart()
         if self._wanted and self._asked is None and now >= self._not_before:
             message_id = self._wanted[0]
             rate_hz = self._rates_hz[message_id]
@@ -145,6 +157,7 @@ class StreamRequests:
             self._not_before = now + RETRY_S
             return
         self._wanted.remove(message_id)
+        self._done_at = now
         if outcome.result == mavlink.MAV_RESULT_UNSUPPORTED and not self._fell_back:
             self._fell_back = True
             for stream, rate_hz in _DATA_STREAMS_HZ.items():

@@ -135,6 +135,8 @@ class Vehicle:
         self.home: Home | None = None
         self.echo: TargetEcho | None = None
         self.battery = Battery()
+        #: Whether SYS_STATUS has come, and what it says of the pre-arm check; None: it does not know that check.
+        self.health_known = False
         self.prearm_ok: bool | None = None
         self.geoid_separation_m: float | None = None
         self.words: deque[Words] = deque(maxlen=_WORDS_KEPT)
@@ -231,6 +233,7 @@ class Vehicle:
         self.landed_state = message.landed_state
 
     def _sys_status(self, message: Any, now: float) -> None:
+        self.health_known = True
         if message.voltage_battery != _UNKNOWN_UINT16:
             self.battery.voltage_v = message.voltage_battery / 1e3
         if message.battery_remaining >= 0:
