@@ -72,11 +72,11 @@ def hold(aircraft: Aircraft) -> Procedure:
     """Stay where it is until the next launch; takes an aircraft back from a pilot."""
     aircraft.held_because = "held by the operator; call bridge/launch to fly goals again"
     aircraft.recalled = False
+    autopilot = _autopilot(aircraft)
     if aircraft.vehicle.on_ground:
         # A target must not make it take off.
         _stand_down(aircraft)
         return "on the ground; stays there"
-    autopilot = _autopilot(aircraft)
     if aircraft.vehicle.position is None:
         raise ProcedureFailed("its position is not known")
     aircraft.begin_hold()
