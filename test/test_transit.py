@@ -55,7 +55,7 @@ def sampled_separation(track, obstacles=()):
     return least
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     count=st.integers(1, 9),
@@ -137,6 +137,47 @@ def test_speed_and_acceleration_are_bounded_also_when_stopped_on_the_way(seed, s
         assert np.linalg.norm(track[joint] - track[joint - 1], axis=1).max() <= LIMITS.speed_m_s * 0.0201
     assert np.allclose([stopping.velocity(name, 0.0) for name in plan.names], _velocity(plan, moment), atol=1e-6)
     assert sampled_separation(track) >= LIMITS.planned_separation_m - 1e-6
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 1.0), changed_count=st.integers(0, 4))
+def test_a_new_plan_on_the_way_stops_only_those_it_concerns(seed, share, changed_count):
+    rng = np.random.default_rng(seed)
+    starts, goals = spaced(rng, 8, 250.0, 12.0), spaced(rng, 12, 250.0, 12.0)
+    plan = plan_transit(by_name(starts), by_name(goals[:8]), LIMITS)
+    moment = share * plan.duration_s
+    changed = {f"uav{i}": goals[8 + i] for i in range(changed_count)}
+    stopping = plan.stop(moment, changed)
+    staying = [c for c in stopping.convoys if not set(c.names) & set(changed)]
+    for convoy in staying:  # they fly as if nothing had happened
+        for t in np.linspace(0, plan.duration_s, 12):
+            for name in convoy.names:
+                assert stopping.position(name, t) == pytest.approx(plan.position(name, moment + t), abs=1e-6)
+                assert stopping.velocity(name, t) == pytest.approx(plan.velocity(name, moment + t), abs=1e-4)
+    at_rest = max((c.duration_s for c in stopping.convoys if set(c.names) & set(changed)), default=0.0)
+    stopped = {name: stopping.position(name, at_rest) for c in stopping.convoys if c not in staying for name in c.names}
+    onward = plan_transit(
+        stopped,
+        {name: changed.get(name, plan.path(name)[-1]) for name in stopped},
+        LIMITS,
+        committed=[convoy.rest(at_rest) for convoy in staying],
+    )
+    least = LIMITS.planned_separation_m - 1e-6
+    assert sampled_separation(sampled(stopping)) >= least
+    assert sampled_separation(sampled(onward)) >= least
+    assert minimum_separation(onward) >= least
+    assert set(onward.names) == set(plan.names)
+    for name in onward.names:
+        goal = stopped[name] if name in onward.held else changed.get(name, plan.path(name)[-1])
+        assert onward.position(name, 1e9) == pytest.approx(goal, abs=1e-9)
+
+
+def test_a_column_up_to_the_ceiling_is_passed_at_its_side():
+    high = Obstacle("uav9", (50.0, 1.0, 120.0), radius_m=3.0)
+    plan = plan_transit({"a": (0, 0, 50)}, {"a": (100, 0, 50)}, LIMITS, [high])
+    assert not plan.held
+    assert minimum_separation(plan, [high]) == pytest.approx(12.0, abs=1e-6)
+    assert plan.path("a")[:, 1].min() == pytest.approx(-14.0)  # 1 - 12 - 3
 
 
 def _velocity(plan, moment):
@@ -224,6 +265,12 @@ def test_segment_distance_against_a_dense_grid(numbers):
         (lambda: plan_transit({"a": (0, 0, math.nan)}, {}, LIMITS), r"starts\['a'\]\[2\] must be finite, got nan"),
         (lambda: plan_transit({"a": (0, 0)}, {}, LIMITS), r"starts\['a'\] must have shape \(3,\), got \(2,\)"),
         (lambda: plan_transit({}, {"a": (0, 0, 0)}, LIMITS), "goals has 'a', which has no start"),
+        (
+            lambda: plan_transit(
+                {"a": (0, 0, 9)}, {}, LIMITS, committed=plan_transit({"a": (0, 0, 0)}, {}, LIMITS).convoys
+            ),
+            "committed has 'a', which has a start as well",
+        ),
         (lambda: TransitLimits(min_separation_m=-1), "min_separation_m must be >= 0, got -1"),
         (lambda: TransitLimits(speed_m_s=0), "speed_m_s must be > 0, got 0"),
         (lambda: TransitLimits(max_altitude_m=10), "max_altitude_m is 10, below min_altitude_m 20.0"),

@@ -55,6 +55,14 @@ class TimeLaw:
             return v0 * elapsed + a * elapsed**2 / 2, v0 + a * elapsed
         return (peak**2 - v0**2) / (2 * a) + peak * (elapsed - speeding_up), peak
 
+    def rest(self, time_s: float) -> tuple[float, TimeLaw]:
+        """What is left after a time before the end: from which s, and the law from there to s = 1."""
+        s, speed = self.at(time_s)
+        left = max(1.0 - s, 1e-12)
+        acceleration = self.acceleration / left
+        initial = min(speed / left, float(np.sqrt(2 * acceleration)))
+        return s, TimeLaw(self.speed / left, acceleration, initial)
+
     def braking(self, time_s: float) -> tuple[float, float, TimeLaw | None]:
         """Where slowing down at once leads: from s, to s, and the law between the two; None where already at rest."""
         s, speed = self.at(time_s)

@@ -32,6 +32,7 @@ def plan_transit(
     goals: Mapping[str, ArrayLike],
     limits: TransitLimits,
     obstacles: Sequence[Obstacle] = (),
+    committed: Sequence[Convoy] = (),
 ) -> TransitPlan:
     """Plan how every aircraft in the air gets to its goal.
 
@@ -44,6 +45,9 @@ def plan_transit(
     limits : TransitLimits
     obstacles : sequence of Obstacle
         Everything else in the air.
+    committed : sequence of Convoy
+        Aircraft on their way by an earlier plan, which fly on (see `TransitPlan.stop`): others keep clear of all of
+        their path, so nothing depends on when they are where. They are in the result as they are here.
 
     Returns
     -------
@@ -74,10 +78,18 @@ def plan_transit(
     for name in goals:
         if name not in starts:
             raise ValueError(f"goals has {name!r}, which has no start")
+    for convoy in committed:
+        for name in convoy.names:
+            if name in starts:
+                raise ValueError(f"committed has {name!r}, which has a start as well")
     names = tuple(starts)
     start = _by_name("starts", names, starts)
     goal = _by_name("goals", names, {**starts, **goals})
-    scene = _Scene(names, start, goal, limits, tuple(obstacles))
+    closed = [_Closed(obstacle.name, obstacle.column, obstacle.radius_m) for obstacle in obstacles]
+    closed += [
+        _Closed(name, convoy.waypoints[:, i], 0.0) for convoy in committed for i, name in enumerate(convoy.names)
+    ]
+    scene = _Scene(names, start, goal, limits, closed)
     routes: dict[frozenset[int], _Route] = {}
     groups = _join([frozenset({i}) for i in range(len(names))], scene.crossing(start, goal))
     while True:
@@ -89,11 +101,20 @@ def plan_transit(
     held: dict[str, str] = {}
     for route in routes.values():
         held.update(route.held)
-    return TransitPlan(tuple(route.convoy(scene) for route in routes.values()), held)
+    return TransitPlan((*(route.convoy(scene) for route in routes.values()), *committed), held)
 
 
 def _by_name(argument: str, names: Sequence[str], places: Mapping[str, ArrayLike]) -> Floats:
     return np.array([point(f"{argument}[{name!r}]", places[name], 3) for name in names]).reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Closed:
+    """A line, (k, 3), that nobody may come near: an obstacle's column, or the path of somebody on the way."""
+
+    name: str
+    line: Floats
+    radius_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +125,7 @@ class _Scene:
     start: Floats
     goal: Floats
     limits: TransitLimits
-    obstacles: tuple[Obstacle, ...]
+    closed: list[_Closed]
 
     def least(self, here: Floats, first: Sequence[int], second: Sequence[int]) -> Floats:
         """Distance to keep between aircraft that are at `here` now; (len(first), len(second)) [m]."""
@@ -148,13 +169,16 @@ class _Scene:
             if (apart < least).any():
                 nearest = int(np.argmin(apart - least))
                 return f"{self.names[still[nearest]]}, {apart[nearest]:.1f} m from its path"
-        for obstacle in self.obstacles:
-            now = polyline_distance(here[[aircraft]], obstacle.column)
-            clear = min(now, self.limits.planned_separation_m + obstacle.radius_m) - ROUNDING_M
-            distance = polyline_distance(path, obstacle.column)
-            if distance < clear:
-                return f"{obstacle.name}, {distance:.1f} m from its path"
+        for closed in self.closed:
+            distance = polyline_distance(path, closed.line)
+            if distance < self.clearance(here[aircraft], closed):
+                return f"{closed.name}, {distance:.1f} m from its path"
         return None
+
+    def clearance(self, here: Floats, closed: _Closed) -> float:
+        """Distance that an aircraft which is `here` now has to keep from a closed line [m]."""
+        wanted = self.limits.planned_separation_m + closed.radius_m
+        return min(polyline_distance(here[None], closed.line), wanted) - ROUNDING_M
 
 
 @dataclass(eq=False)
@@ -267,13 +291,33 @@ def _single(scene: _Scene, members: list[int], waiting: list[int], here: Floats)
 
 
 def _candidates(scene: _Scene, aircraft: int, here: Floats) -> Iterator[Floats]:
-    """Paths to try, (4, 3) each: straight while others cross, then through the layers, nearest to the goal first."""
+    """Paths to try, (4, 3) each: straight while others cross; through the layers, nearest first; round an obstacle."""
     start, goal = here[aircraft], scene.goal[aircraft]
     yield np.array([start, start, goal, goal])
     for altitude in _layers(scene.limits, float(goal[2])):
         up, over = start.copy(), goal.copy()
         up[2] = over[2] = altitude
         yield np.array([start, up, over, goal])
+    yield from _detours(scene, start, goal)
+
+
+def _detours(scene: _Scene, start: Floats, goal: Floats) -> Iterator[Floats]:
+    """Level paths past each closed line that is near the straight one, on either side of it."""
+    along = (goal - start)[:2]
+    length = float(np.linalg.norm(along))
+    if length == 0:
+        return
+    along /= length
+    across = np.array([-along[1], along[0]])
+    for closed in scene.closed:
+        wanted = scene.limits.planned_separation_m + closed.radius_m
+        if polyline_distance(np.array([start, goal]), closed.line) < wanted:
+            offsets = (closed.line[:, :2] - start[:2]) @ np.column_stack([along, across])
+            (first, right), (last, left) = offsets.min(axis=0) - wanted, offsets.max(axis=0) + wanted
+            for side in sorted((left, right), key=abs):
+                corners = [start[:2] + share * along + side * across for share in (first, last)]
+                height = np.interp(np.clip([first, last], 0.0, length), [0.0, length], [start[2], goal[2]])
+                yield np.array([start, [*corners[0], height[0]], [*corners[1], height[1]], goal])
 
 
 def _layers(limits: TransitLimits, base_m: float) -> list[float]:

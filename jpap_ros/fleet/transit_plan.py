@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 
@@ -123,6 +123,15 @@ class Convoy:
         along = self.waypoints[leg + 1] - self.waypoints[leg]
         return self.waypoints[leg] + s * along, speed * along
 
+    def rest(self, time_s: float) -> Convoy:
+        """Return what is left of the flight after a time."""
+        leg, elapsed = self._leg(time_s)
+        if leg is None:
+            return Convoy(self.names, self.waypoints[-1:], ())
+        s, law = self.laws[leg].rest(elapsed)
+        here = self.waypoints[leg] + s * (self.waypoints[leg + 1] - self.waypoints[leg])
+        return Convoy(self.names, np.concatenate([here[None], self.waypoints[leg + 1 :]]), (law, *self.laws[leg + 1 :]))
+
     def stop(self, time_s: float) -> Convoy:
         """Return what is left when all slow down at once: a part of the present leg."""
         leg, elapsed = self._leg(time_s)
@@ -192,13 +201,27 @@ class TransitPlan:
         convoy, index = self._places[name]
         return convoy.waypoints[:, index]
 
-    def stop(self, time_s: float) -> TransitPlan:
-        """Return the plan that brings every aircraft to rest from a moment of this one.
+    def stop(self, time_s: float, names: Collection[str] | None = None) -> TransitPlan:
+        """Return the plan that brings aircraft to rest from a moment of this one.
 
+        Parameters
+        ----------
+        time_s : float
+            The moment, since the start of this plan [s].
+        names : collection of str, optional
+            Who has to stop, with their convoys; all others fly on. Default: everyone.
+
+        Notes
+        -----
         Nobody leaves the path that has been checked, and within a convoy all slow down on their common clock, so the
         separation of this plan holds for that one.
         """
-        return TransitPlan(tuple(convoy.stop(time_s) for convoy in self.convoys))
+        return TransitPlan(
+            tuple(
+                convoy.stop(time_s) if names is None or set(names) & set(convoy.names) else convoy.rest(time_s)
+                for convoy in self.convoys
+            )
+        )
 
 
 def minimum_separation(plan: TransitPlan, obstacles: Sequence[Obstacle] = ()) -> float:
