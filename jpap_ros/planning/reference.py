@@ -1,0 +1,182 @@
+"""The paper's own algorithms, taken literally: slow, readable, and what the fast ones are checked against.
+
+`lagrange_position` is the Lagrange method of equations (13) to (22), `exhaustive_position` the exhaustive search,
+`drmp_position` the DRMP algorithm made of both, and `reference_jpap` the listing of section IV-C line by line.
+
+Two decisions where the text needs one. The paper's outer region asks that *every* device be at least H away, so that
+positions with some devices within H and others beyond belong to neither region, and the best position is often one of
+them. Here the outer region is all of the feasible region that the inner one leaves over. And of positions whose rates
+differ by less than the tolerance of `placement`, the UAV takes the one nearest to where it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from jpap_ros.planning.allocation import Allocation
+from jpap_ros.planning.geometry import common_point, nearest_common_point
+from jpap_ros.planning.link_budget import Floats
+from jpap_ros.planning.placement import RATE_TOLERANCE
+from jpap_ros.planning.solver import Problem
+
+#: Given device positions (n, 2), strengths P_k eta (n,), squared radii (n,), H^2 and the present position (2,),
+#: all in metres: the best position (2,).
+Placer = Callable[[Floats, Floats, Floats, float, Floats], Floats]
+
+#: What a grid of 1 m may miss of an optimum on the edge of the feasible region [bit/s/Hz], with room to spare.
+GRID_TOLERANCE = 0.05
+
+
+def sum_rate(position: Floats, points: Floats, strengths: Floats, height2: float) -> float:
+    """The objective (12a) [bit/s/Hz]."""
+    q = ((points - position) ** 2).sum(axis=1) + height2
+    return float(np.log2(1 + strengths / q).sum())
+
+
+def tight_bound(snr: Floats) -> tuple[Floats, Floats]:
+    """Tau and beta of the bound tau log2 z + beta <= log2(1 + z), which is tight at z = snr."""
+    tau = snr / (1 + snr)
+    return tau, np.log2(1 + snr) - tau * np.log2(snr)
+
+
+def lagrange_position(
+    points: Floats,
+    strengths: Floats,
+    squared_radii: Floats,
+    height2: float,
+    start: Floats,
+    step: float = 0.05,
+    iterations: int = 1000,
+) -> Floats:
+    """The Lagrange method: problem P4 with the multipliers found by the subgradient method (20).
+
+    Parameters
+    ----------
+    points, strengths, squared_radii, height2, start
+        See `Placer`. The discs must share a point.
+    step : float
+        epsilon_lambda of equation (20), relative to tau / (ln 2 q d^2) of its device, which makes it a pure number.
+    iterations : int
+        Steps of the subgradient method. The bound (13) is made tight again at each.
+
+    Returns
+    -------
+    (2,) float
+        The feasible position nearest to the last iterate.
+    """
+    position = start.astype(float)
+    multipliers = np.zeros(len(points))
+    for _ in range(iterations):
+        q = ((points - position) ** 2).sum(axis=1) + height2
+        tau, _ = tight_bound(strengths / q)
+        # Equations (21) and (22): sum_k (tau_k / (ln 2 q_k) + lambda_k) (v - u_k) = 0, solved by fixed point.
+        pull = tau / (math.log(2) * q) + multipliers
+        position = pull @ points / pull.sum()
+        excess = ((points - position) ** 2).sum(axis=1) - squared_radii
+        scale = pull.max() / np.maximum(squared_radii, height2)
+        multipliers = np.maximum(multipliers + step * scale * excess, 0)
+    (x, y), (xs, ys) = position.tolist(), points.T.tolist()
+    nearest = nearest_common_point(x, y, xs, ys, squared_radii.tolist())
+    deepest = common_point(points, squared_radii)
+    if deepest is None:
+        raise ValueError("the discs must share a point")
+    return deepest if nearest is None else np.array(nearest)
+
+
+def exhaustive_position(
+    points: Floats,
+    strengths: Floats,
+    squared_radii: Floats,
+    height2: float,
+    start: Floats,
+    grid_step_m: float = 1.0,
+) -> list[Floats]:
+    """The exhaustive search of the outer region on a square grid.
+
+    Returns
+    -------
+    list of (2,) float
+        The best grid point, and of those worse by no more than `GRID_TOLERANCE` the one nearest to the present
+        position. Empty where no grid point is in the region.
+    """
+    radii = np.sqrt(squared_radii)[:, None]
+    low, high = (points - radii).max(axis=0), (points + radii).min(axis=0)
+    xs, ys = (np.arange(low[i], high[i] + grid_step_m, grid_step_m) for i in (0, 1))
+    rate = np.zeros((len(xs), len(ys)))
+    feasible, inner = np.ones(rate.shape, bool), np.ones(rate.shape, bool)
+    for (u, v), strength, r2 in zip(points, strengths, squared_radii, strict=True):
+        distance2 = (xs[:, None] - u) ** 2 + (ys - v) ** 2
+        rate += np.log2(1 + strength / (distance2 + height2))
+        feasible &= distance2 <= r2
+        inner &= distance2 < height2
+    rate[~feasible | inner] = -np.inf
+    if not np.isfinite(rate.max()):
+        return []
+    i, j = np.nonzero(rate >= rate.max() - GRID_TOLERANCE)
+    good = np.column_stack([xs[i], ys[j]])
+    return [good[rate[i, j].argmax()], good[((good - start) ** 2).sum(axis=1).argmin()]]
+
+
+def drmp_position(
+    points: Floats,
+    strengths: Floats,
+    squared_radii: Floats,
+    height2: float,
+    start: Floats,
+    grid_step_m: float = 1.0,
+) -> Floats:
+    """The DRMP algorithm of section IV-B; see `Placer`. `grid_step_m` is that of the exhaustive search [m]."""
+    candidates = [lagrange_position(points, strengths, squared_radii, height2, start)]
+    if squared_radii.max() >= height2:
+        inner = np.minimum(squared_radii, height2)
+        if common_point(points, inner) is not None:
+            candidates.append(lagrange_position(points, strengths, inner, height2, points.mean(axis=0)))
+        for point in exhaustive_position(points, strengths, squared_radii, height2, start, grid_step_m):
+            candidates += [point, lagrange_position(points, strengths, squared_radii, height2, point)]
+    return nearest_of_the_best(candidates, points, strengths, height2, start)
+
+
+def nearest_of_the_best(
+    candidates: list[Floats], points: Floats, strengths: Floats, height2: float, start: Floats
+) -> Floats:
+    """Of the candidates to which none is better by more than the tolerance, the one nearest to the present position."""
+    rates = np.array([sum_rate(candidate, points, strengths, height2) for candidate in candidates])
+    good = np.flatnonzero(rates >= rates.max() - RATE_TOLERANCE)
+    return min((candidates[i] for i in good), key=lambda candidate: math.dist(candidate, start))
+
+
+def reference_jpap(
+    problem: Problem, allocation: Allocation, placer: Placer = drmp_position
+) -> list[tuple[list[int], Floats]]:
+    """The listing of section IV-C, its step numbers in the comments: each cell's devices, and its UAV's position.
+
+    Ties and K_max are decided as `jpap` says; whether a cell can be served is decided exactly.
+    """
+    points, demand, link = problem.positions, problem.snr_demand, problem.link
+    height2 = link.altitude_m**2
+    area = 2 * np.sqrt(np.maximum(link.power_eta / demand - height2, 0))  # 2 d_k^0
+    uncovered = list(range(len(points)))
+    cells = []
+    while uncovered:  # 1
+        a, b = points[uncovered].T
+        boundary = [uncovered[i] for i in (a.argmax(), b.argmax(), a.argmin(), b.argmin())]
+        near = {k: [i for i in uncovered if i != k and math.dist(points[i], points[k]) <= area[k]] for k in boundary}
+        k0 = max(boundary, key=lambda k: (len(near[k]), demand[k]))  # 2
+        candidates = near[k0]
+        position, covered = points[k0], [k0]  # 3
+        while candidates and len(covered) < problem.cell_limit:  # 4
+            k1 = min(candidates, key=lambda k: math.dist(points[k], position))  # 5
+            candidates.remove(k1)
+            trial = [*covered, k1]  # 6
+            strengths = allocation.powers(demand[trial], link) * link.eta  # 7
+            squared_radii = allocation.squared_radii(demand[trial], link)
+            if common_point(points[trial], squared_radii) is None:  # 8
+                break  # 9
+            covered = trial
+            position = placer(points[trial], strengths, squared_radii, height2, position)  # 11
+        uncovered = [k for k in uncovered if k not in covered]  # 14
+        cells.append((covered, position))
+    return cells
