@@ -187,7 +187,8 @@ def test_a_late_subscriber_gets_the_plan_in_force(planner):
     late = node.graph.collect(Deployment, "deployment", LATCHED)
     goals = node.graph.collect(PoseStamped, f"{plan.cells[0].uav}/goal_pose", LATCHED)
     node.graph.wait(lambda: late and goals, "latched messages")
-    assert late == [plan] and goals[0].pose == plan.cells[0].goal_pose
+    assert [(message.header, message.plan_id, message.cells) for message in late] == [(plan.header, 1, plan.cells)]
+    assert goals[0].header == plan.header and goals[0].pose == plan.cells[0].goal_pose
 
 
 def test_a_planner_that_starts_late_gets_the_reports_it_missed(planner, graph):
@@ -247,7 +248,8 @@ def test_every_event_is_in_the_reason_of_a_plan(planner):
     plan = node.plan("1 device joined, 1 moved, 1 changed demand, 1 left")
     now = {**GROUPS, "a1": (5.0, 5.0, 16.0), "b1": (900.0, 0.0, 17.5), "d1": (20.0, 20.0, 15.0)}
     del now["c1"]
-    assert_cells_are(plan, cells_by_solve(now))
+    assert {d for cell in plan.cells for d in cell.device_ids} == set(now)
+    assert_demands_met(plan, now)
     assert plan.plan_id == 2
     node.send(GROUPS, snapshot=True)
     plan = node.plan("1 device joined, 1 moved, 1 changed demand, 1 left", 60)
@@ -441,7 +443,7 @@ def test_the_operator_can_ask_for_a_plan(planner, graph):
     node.send(GROUPS)
     plan = node.plan("5 devices joined")
     answer = graph.call(Trigger, "planner/replan")
-    assert answer.success and answer.message == f"plan 2: {len(plan.cells)} UAVs serve 5 devices"
+    assert answer.success and answer.message.startswith(f"plan 2: {len(plan.cells)} UAVs serve 5 devices; gain 0 ")
     again = node.plan("operator asked")
     assert again.plan_id == 2 and again.cells == plan.cells
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+from jpap_ros.planning.replanning_state import LivePlan
 
 
 @dataclass(frozen=True)
@@ -18,6 +21,8 @@ class Aircraft:
         Where it is, or where it is believed to be: east and north [m].
     connected : bool
         Whether its telemetry arrives.
+    airborne : bool
+        Whether telemetry says that it is in the air.
     unavailable : str
         Why it can take no cell, in words; empty if it can.
     """
@@ -25,6 +30,7 @@ class Aircraft:
     name: str
     position: tuple[float, float]
     connected: bool = False
+    airborne: bool = False
     unavailable: str = ""
 
     @property
@@ -39,6 +45,8 @@ class FleetCell:
 
     Attributes
     ----------
+    id : int
+        Stays the same from plan to plan as long as the cell exists.
     uav : str
         Empty if no aircraft is left for this cell.
     position : tuple of float
@@ -50,6 +58,7 @@ class FleetCell:
         Common coverage radius [m]; NaN where the scheme has none.
     """
 
+    id: int
     uav: str
     position: tuple[float, float]
     device_ids: tuple[str, ...]
@@ -63,16 +72,39 @@ class FleetCell:
         return math.fsum(self.rate)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FleetPlan:
-    """Every cell, and every device that is left out; fields as in `jpap_ros.planning.Deployment`, rates in bit/s."""
+    """Every cell, and every device that is left out.
+
+    Attributes
+    ----------
+    cells : tuple of FleetCell
+    live : LivePlan
+        The same without names, for replanning.
+    unserved : mapping of str to str
+        Reason for each device that is left out.
+    uavs_needed, min_uavs_bound, proven_optimal, scheme
+        As in `jpap_ros.planning.Deployment`.
+    interrupted : mapping of str to str
+        Devices whose guaranteed rate is interrupted by the change to this plan, and why.
+    from_scratch : bool
+        Whether the scheme made it from the devices alone; else it is a change of an earlier plan.
+    """
 
     cells: tuple[FleetCell, ...]
-    unserved: tuple[tuple[str, str], ...]
+    live: LivePlan
+    unserved: Mapping[str, str]
     uavs_needed: int
     min_uavs_bound: int | None
     proven_optimal: bool
     scheme: str
+    interrupted: Mapping[str, str]
+    from_scratch: bool
+
+    @property
+    def names(self) -> dict[int, str]:
+        """Aircraft of each cell that has one, by the cell's id."""
+        return {cell.id: cell.uav for cell in self.cells if cell.uav}
 
     @property
     def average_uav_rate(self) -> float:

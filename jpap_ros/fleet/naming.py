@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,13 +16,13 @@ _SILENT_HANDICAP_M = 1e7
 
 
 def name_cells(
-    cells: Sequence[FleetCell], available: Sequence[Aircraft], present: Sequence[FleetCell]
+    cells: Sequence[FleetCell], available: Sequence[Aircraft], holders: Mapping[int, str]
 ) -> tuple[FleetCell, ...]:
     """Give each cell an aircraft.
 
-    A cell with the same devices as one of the plan in force keeps that one's aircraft. The others go to the remaining
-    aircraft such that the sum of squared distances is least, where an aircraft whose telemetry does not arrive is
-    taken only if there are too few whose does.
+    A cell keeps the aircraft that it has. The others go to the remaining aircraft such that the sum of squared
+    distances is least, where an aircraft whose telemetry does not arrive is taken only if there are too few whose
+    does.
 
     Parameters
     ----------
@@ -30,8 +30,8 @@ def name_cells(
         Names in them are not used.
     available : sequence of Aircraft
         If there are fewer than cells, some cells stay without a name.
-    present : sequence of FleetCell
-        The plan in force.
+    holders : mapping of int to str
+        Aircraft of each cell in the plan in force, by the cell's id.
 
     Returns
     -------
@@ -39,8 +39,7 @@ def name_cells(
         In the order of `available`; cells without an aircraft last.
     """
     index = {craft.name: i for i, craft in enumerate(available)}
-    keeper = {frozenset(cell.device_ids): index[cell.uav] for cell in present if cell.uav in index}
-    keep = [keeper.get(frozenset(cell.device_ids), -1) for cell in cells]
+    keep = [index.get(holders.get(cell.id, ""), -1) for cell in cells]
     given = assign(
         np.array([cell.position for cell in cells], dtype=np.float64).reshape(-1, 2),
         np.array([craft.position for craft in available], dtype=np.float64).reshape(-1, 2),

@@ -1,17 +1,32 @@
-"""One plan for the whole fleet: cells from the planning schemes, each given to a named aircraft."""
+"""One plan for the whole fleet: cells from the planning layer, each given to a named aircraft.
+
+An event is answered at once by the smallest change of the plan in force (`plan_change`). A plan from scratch is made
+behind it (`full_deployment`, slow for some schemes) and replaces it where that is worth the flight (`weigh`).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
 from jpap_ros.fleet.naming import name_cells
-from jpap_ros.planning import LinkBudget, solve
+from jpap_ros.planning import Deployment, LinkBudget, solve
 from jpap_ros.planning.devices import Device
+from jpap_ros.planning.replanning import compare, replan
+from jpap_ros.planning.replanning_decision import ReplanningPolicy, consider
+from jpap_ros.planning.replanning_state import Demands, Limits, LivePlan
+
+#: Schemes that may take seconds; a quick plan goes ahead of theirs.
+SLOW_SCHEMES = frozenset({"optimal"})
+
+_QUICK_SCHEME = "jpap"
+
+#: What a plan from scratch must gain while no aircraft is in the air: more than rounding.
+_GROUND_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -36,14 +51,58 @@ class PlanSettings:
     min_separation_m: float = 0.0
     time_limit_s: float | None = None
 
+    def limits(self, uavs: int) -> Limits:
+        """Return what every plan for so many UAVs has to keep to."""
+        return Limits(self.scheme, self.link, self.max_devices_per_uav, uavs, self.min_separation_m)
 
-def plan_fleet(
-    devices: Sequence[Device],
-    settings: PlanSettings,
-    aircraft: Sequence[Aircraft],
-    present: Sequence[FleetCell] = (),
+    def demands(self, devices: Sequence[Device]) -> Demands:
+        """Return the devices with their demands in bit/s/Hz."""
+        return Demands.of(
+            tuple(device.id for device in devices),
+            np.array([device.position for device in devices], dtype=np.float64).reshape(-1, 2),
+            np.array([device.rate_demand for device in devices], dtype=np.float64) / self.bandwidth_hz,
+            np.array([device.weight for device in devices], dtype=np.float64),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """What came of a plan from scratch.
+
+    Attributes
+    ----------
+    plan : FleetPlan
+        The plan from scratch if it is worth the flight; else the plan in force with the bound that was proven.
+    adopted : bool
+    reason : str
+        Gain and cost in words.
+    """
+
+    plan: FleetPlan
+    adopted: bool
+    reason: str
+
+
+def full_deployment(devices: Sequence[Device], settings: PlanSettings, uavs: int) -> Deployment:
+    """Plan from scratch for so many UAVs; devices in the order given."""
+    demands = settings.demands(devices)
+    return solve(
+        demands.positions,
+        demands.rates,
+        scheme=settings.scheme,
+        link=settings.link,
+        max_devices_per_uav=settings.max_devices_per_uav,
+        max_uavs=uavs,
+        weights=demands.weights,
+        min_separation_m=settings.min_separation_m,
+        time_limit_s=settings.time_limit_s,
+    )
+
+
+def plan_change(
+    devices: Sequence[Device], settings: PlanSettings, aircraft: Sequence[Aircraft], present: FleetPlan
 ) -> FleetPlan:
-    """Plan cells for the devices and give each to an aircraft.
+    """Fit the devices and the aircraft that there are now into the plan in force, with the smallest change.
 
     Parameters
     ----------
@@ -52,7 +111,7 @@ def plan_fleet(
     settings : PlanSettings
     aircraft : sequence of Aircraft
         The whole fleet; those that are unavailable get no cell.
-    present : sequence of FleetCell
+    present : FleetPlan
         The plan in force.
 
     Returns
@@ -61,36 +120,117 @@ def plan_fleet(
         Cells in the order of `aircraft`.
     """
     available = [craft for craft in aircraft if craft.available]
-    deployment = solve(
-        np.array([device.position for device in devices], dtype=np.float64).reshape(-1, 2),
-        np.array([device.rate_demand for device in devices], dtype=np.float64) / settings.bandwidth_hz,
-        scheme=settings.scheme,
-        link=settings.link,
-        max_devices_per_uav=settings.max_devices_per_uav,
-        max_uavs=len(available),
-        weights=np.array([device.weight for device in devices], dtype=np.float64),
-        min_separation_m=settings.min_separation_m,
-        time_limit_s=settings.time_limit_s,
-    )
-    radii = deployment.coverage_radius_m
-    cells = []
-    for index, position in enumerate(deployment.uav_positions.tolist()):
-        members = deployment.cell(index)
-        cells.append(
-            FleetCell(
-                uav="",
-                position=(position[0], position[1]),
-                device_ids=tuple(devices[k].id for k in members),
-                power_w=tuple(deployment.power_w[members].tolist()),
-                rate=tuple((deployment.rate[members] * settings.bandwidth_hz).tolist()),
-                coverage_radius_m=math.nan if radii is None else float(radii[index]),
-            )
+    demands, limits = settings.demands(devices), settings.limits(len(available))
+    change = replan(present.live, demands, limits, _lost_cells(present, available, demands))
+    return _named(change.plan, settings, available, present, interrupted=change.interrupted)
+
+
+def plan_from_scratch(
+    devices: Sequence[Device], settings: PlanSettings, aircraft: Sequence[Aircraft], present: FleetPlan | None = None
+) -> FleetPlan:
+    """Plan from the devices alone, or quickly where the scheme may take long; cells keep their aircraft if they can.
+
+    Parameters are those of `plan_change`; `present` may be missing.
+    """
+    available = [craft for craft in aircraft if craft.available]
+    demands, limits = settings.demands(devices), settings.limits(len(available))
+    slow = settings.scheme in SLOW_SCHEMES
+    quick = replace(settings, scheme=_QUICK_SCHEME) if slow else settings
+    full = full_deployment(devices, quick, len(available))
+    live = LivePlan.of(full, demands)
+    if present is not None:
+        lost = _lost_cells(present, available, demands)
+        base = replan(present.live, demands, limits, lost).plan
+        live = consider(full, base, demands, limits, lost_cells=lost).change.plan
+    if slow:
+        # The quick scheme's cells, with the power rule of the scheme that was asked for.
+        live = replan(live, demands, limits).plan
+    interrupted = compare(present.live, live, limits).interrupted if present is not None else {}
+    return _named(live, settings, available, present, full=None if slow else full, interrupted=interrupted)
+
+
+def weigh(
+    full: Deployment,
+    devices: Sequence[Device],
+    settings: PlanSettings,
+    aircraft: Sequence[Aircraft],
+    present: FleetPlan,
+    policy: ReplanningPolicy,
+) -> Weighed:
+    """Weigh a plan from scratch against the plan in force for the same devices and aircraft.
+
+    Parameters
+    ----------
+    full : Deployment
+        From `full_deployment` with the same devices, settings and number of available aircraft.
+    devices, settings, aircraft, present
+        As in `plan_change`.
+    policy : ReplanningPolicy
+        Its costs count only while an aircraft of the plan in force is in the air: before take-off a change is free.
+    """
+    available = [craft for craft in aircraft if craft.available]
+    demands, limits = settings.demands(devices), settings.limits(len(available))
+    used = set(present.names.values())
+    if not any(craft.airborne for craft in aircraft if craft.name in used):
+        tolerance = min(policy.tolerance, _GROUND_TOLERANCE)
+        policy = replace(policy, metre_cost=0.0, launch_cost=0.0, interruption_cost=0.0, tolerance=tolerance)
+    decision = consider(full, present.live, demands, limits, policy)
+    if decision.adopt:
+        change = decision.change
+        plan = _named(change.plan, settings, available, present, full=full, interrupted=change.interrupted)
+        return Weighed(plan, True, decision.reason)
+    bound = full.min_uavs_bound
+    plan = replace(present, min_uavs_bound=bound, proven_optimal=bound is not None and bound == present.uavs_needed)
+    return Weighed(plan, False, decision.reason)
+
+
+def _lost_cells(present: FleetPlan, available: Sequence[Aircraft], demands: Demands) -> list[int]:
+    """Cells whose aircraft is gone and for which there is no other; those of least weight where some can be kept."""
+    names = {craft.name for craft in available}
+    held = [cell for cell in present.cells if cell.uav in names]
+    orphans = [cell for cell in present.cells if cell.uav not in names]
+
+    def weight(cell: FleetCell) -> float:
+        return math.fsum(
+            float(demands.weights[demands.index[name]]) for name in cell.device_ids if name in demands.index
         )
+
+    orphans.sort(key=lambda cell: (-weight(cell), cell.id))
+    return [cell.id for cell in orphans[max(len(available) - len(held), 0) :]]
+
+
+def _named(
+    live: LivePlan,
+    settings: PlanSettings,
+    available: Sequence[Aircraft],
+    present: FleetPlan | None,
+    full: Deployment | None = None,
+    interrupted: Mapping[str, str] | None = None,
+) -> FleetPlan:
+    """Give the cells of a plan aircraft; `full` is the plan from scratch that it is, if it is one."""
+    deployment = live.deployment(settings.limits(len(available)))
+    radii = deployment.coverage_radius_m
+    index = live.demands.index
+    cells = [
+        FleetCell(
+            id=cell.id,
+            uav="",
+            position=cell.position,
+            device_ids=cell.device_ids,
+            power_w=cell.power_w,
+            rate=tuple(settings.bandwidth_hz * float(deployment.rate[index[name]]) for name in cell.device_ids),
+            coverage_radius_m=math.nan if radii is None else float(radii[k]),
+        )
+        for k, cell in enumerate(live.cells)
+    ]
     return FleetPlan(
-        cells=name_cells(cells, available, present),
-        unserved=tuple((devices[k].id, reason) for k, reason in deployment.unserved.items()),
-        uavs_needed=deployment.uavs_needed,
-        min_uavs_bound=deployment.min_uavs_bound,
-        proven_optimal=deployment.proven_optimal,
-        scheme=deployment.scheme,
+        cells=name_cells(cells, available, present.names if present is not None else {}),
+        live=live,
+        unserved=live.unserved,
+        uavs_needed=live.uavs_needed,
+        min_uavs_bound=None if full is None else full.min_uavs_bound,
+        proven_optimal=full is not None and full.proven_optimal,
+        scheme=settings.scheme,
+        interrupted=interrupted or {},
+        from_scratch=full is not None,
     )

@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -22,16 +21,23 @@ from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
+from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.fleet.events import Events
-from jpap_ros.fleet.plan import PlanSettings, plan_fleet
+from jpap_ros.fleet.plan import SLOW_SCHEMES, PlanSettings, Weighed
+from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.nodes import planner_conversions as conversions
 from jpap_ros.nodes.lifecycle import ManagedNode
 from jpap_ros.nodes.parameters import declare, values
 from jpap_ros.nodes.planner_diagnostics import PlannerHealth
-from jpap_ros.nodes.planner_parameters import PLAN_PARAMETERS, plan_settings, planner_parameters
+from jpap_ros.nodes.planner_jobs import EventJob, WeighJob
+from jpap_ros.nodes.planner_parameters import (
+    PLAN_PARAMETERS,
+    plan_settings,
+    planner_parameters,
+    replanning_policy,
+)
 from jpap_ros.nodes.process import run
 from jpap_ros.nodes.qos import DEVICES, LATCHED
 from jpap_ros.nodes.worker import Worker
@@ -44,33 +50,21 @@ _STOP_PATIENCE_S = 2.0
 _MAX_REMEMBERED_FAULTS = 1000
 
 
-@dataclass(frozen=True)
-class _Job:
-    """All that a plan depends on, as it was when planning began; and what the plan answers."""
-
-    devices: tuple[Device, ...]
-    settings: PlanSettings
-    aircraft: tuple[Aircraft, ...]
-    present: tuple[FleetCell, ...]
-    events: Events
-    waiting: tuple[Future, ...]
-    first_event_s: float
-    started_s: float
-
-
-def _plan(job: _Job) -> FleetPlan:
-    return plan_fleet(job.devices, job.settings, job.aircraft, job.present)
+def _run(job: EventJob | WeighJob) -> tuple[FleetPlan, str] | Weighed:
+    return job.run()
 
 
 class PlannerNode(ManagedNode):
     """Keeps the device table, plans in a worker when something happened, and publishes what comes out.
 
-    Every accepted event is answered by a deployment whose reason names it, even where the plan stays the same.
+    Every accepted event is answered by a deployment whose reason names it, even where the plan stays the same: at once
+    by the smallest change of the plan in force, then, where that is worth the flight, by a plan from scratch.
     """
 
     def __init__(self) -> None:
         # First, because rclpy destroys a node whose making was refused.
-        self._worker: Worker[_Job, FleetPlan] | None = None
+        self._worker: Worker[EventJob | WeighJob, tuple[FleetPlan, str] | Weighed] | None = None
+        self._solver: SolverProcess | None = None
         super().__init__("planner")
         self._params = planner_parameters()
         declare(self, self._params, self._on_parameters)
@@ -82,8 +76,12 @@ class PlannerNode(ManagedNode):
         self._first_event_s: float | None = None
         self._states: dict[str, VehicleState] = {}
         self._health = PlannerHealth()
-        self._in_work: _Job | None = None
+        self._in_work: EventJob | WeighJob | None = None
         self._overdue = False
+        self._solving = False
+        self._weighed: Request | None = None
+        self._planned_with: PlanSettings | None = None
+        self._asked: list[Future] = []
         self._made = ExitStack()
 
     # Transitions
@@ -115,11 +113,14 @@ class PlannerNode(ManagedNode):
         self._result = self.create_guard_condition(self._on_result)
         self._made.callback(self.destroy_timer, self._quiet)
         self._made.callback(self.destroy_timer, every_second)
+        self._answer = self.create_guard_condition(self._on_solved)
         self._made.callback(self.destroy_guard_condition, self._result)
+        self._made.callback(self.destroy_guard_condition, self._answer)
 
     def activate(self) -> None:
         """Plan for what is known already."""
-        self._worker = Worker("planning", _plan, self._result.trigger)
+        self._worker = Worker("planning", _run, self._result.trigger)
+        self._solver = SolverProcess(self._answer.trigger)
         topics = " and ".join(self.resolve_topic_name(topic) for topic in ("devices", "geo_devices"))
         self.get_logger().info(
             f"listening to {topics}; {len(self._fleet.names)} UAVs of {self._settings['fleet_file']}, "
@@ -141,6 +142,7 @@ class PlannerNode(ManagedNode):
         self._events = Events()
         self._states.clear()
         self._health = PlannerHealth(plan_id=self._health.plan_id)
+        self._weighed = self._planned_with = None
 
     def destroy_node(self) -> None:
         """Stop planning and leave the graph."""
@@ -234,7 +236,7 @@ class PlannerNode(ManagedNode):
         health.devices = len(self._table)
         health.ignored = len({fault.id for fault in self._faults.values()})
         health.fleet = len(self._fleet.names)
-        health.available = sum(self._aircraft(name).available for name in self._fleet.names)
+        health.available = sum(craft.available for craft in self._all_aircraft())
         status = health.status(f"{self.get_fully_qualified_name()}: deployment", time.monotonic())
         self._diagnostics_out.publish(DiagnosticArray(header=self._header(), status=[status]))
 
@@ -263,12 +265,14 @@ class PlannerNode(ManagedNode):
             self._overdue = True
             return
         assert self._worker is not None and self._first_event_s is not None
-        plan = self._health.plan
-        job = _Job(
+        plan, settings = self._health.plan, plan_settings(self._settings)
+        job = EventJob(
             devices=self._table.devices,
-            settings=plan_settings(self._settings),
-            aircraft=tuple(self._aircraft(name) for name in self._fleet.names),
-            present=plan.cells if plan is not None else (),
+            settings=settings,
+            aircraft=self._all_aircraft(),
+            present=plan,
+            scratch=self._settings["replanning"] == "scratch" or settings != self._planned_with,
+            policy=replanning_policy(self._settings),
             events=self._events,
             waiting=tuple(self._waiting),
             first_event_s=self._first_event_s,
@@ -283,63 +287,153 @@ class PlannerNode(ManagedNode):
             return
         job, result = finished
         self._in_work = None
-        if isinstance(result, Exception):
+        if isinstance(job, WeighJob):
+            self._after_weighing(job, result)
+        elif isinstance(result, Exception):
             self._keep(job, result)
         else:
-            self._publish(job, result)
+            self._after_planning(job, *result)
         if self._overdue:
             self._on_quiet()
+        elif self._in_work is None:
+            self._reoptimise()
 
-    def _keep(self, job: _Job, error: Exception) -> None:
+    def _keep(self, job: EventJob, error: Exception) -> None:
         """Planning failed: the last good plan stays in force, and the next one answers for these events too."""
         self._events.merge(job.events)
-        if self._first_event_s is None:
-            self._first_event_s = time.monotonic()
-        self._health.failure = str(error) if isinstance(error, ValueError) else repr(error)
-        message = f"planning failed, the last good plan stays in force: {self._health.failure}"
+        self._first_event_s = job.first_event_s
+        failure = str(error) if isinstance(error, ValueError) else repr(error)
+        message = f"planning failed, the last good plan stays in force: {failure}"
         self.get_logger().error(message)
-        self._answer(job.waiting, False, message)
+        if job.present is not None and not job.scratch:
+            # Perhaps it is the plan in force that cannot be changed: forget how it was made.
+            self._planned_with = None
+            self._waiting.extend(job.waiting)
+            self._overdue = True
+        else:
+            self._health.failure = failure
+            self._tell(job.waiting, False, message)
 
-    def _publish(self, job: _Job, plan: FleetPlan) -> None:
+    def _after_planning(self, job: EventJob, plan: FleetPlan, how: str) -> None:
+        before, self._planned_with = self._health.plan, job.settings
+        self._publish(plan, str(job.events), job.settings.link.altitude_m, job.started_s)
+        self._health.latency_s = time.monotonic() - job.first_event_s
+        self._warn_unserved(job.devices, plan, before)
+        if plan.from_scratch or job.weighs:
+            self._weighed = job.request
+        if job.settings.scheme in SLOW_SCHEMES and job.waiting:
+            # The answer is the plan from scratch, which the solver's process makes.
+            self._asked.extend(job.waiting)
+            self._weighed = None
+        else:
+            self._tell(job.waiting, True, f"plan {self._health.plan_id}: {plan.summary()}" + (how and f"; {how}"))
+
+    # Plans from scratch
+
+    def _reoptimise(self) -> None:
+        """Have a plan made from scratch for what the plan in force was made for, unless that was done."""
+        if self._solver is None or self._solving or self._health.plan is None or self._events:
+            return
+        if not self._settings["reoptimise"] and not self._asked:
+            return
+        request = self._request()
+        if request != self._weighed:
+            self._solving = True
+            self._solver.submit(request)
+
+    def _on_solved(self) -> None:
+        if self._solver is None or (finished := self._solver.take()) is None:
+            return
+        request, full = finished
+        self._solving = False
+        if isinstance(full, SolverError):
+            self.get_logger().error(f"no plan from scratch: {full}")
+            self._weighed = request
+            self._tell_asked(False, f"no plan from scratch: {full}")
+        elif self._events or self._in_work is not None or request != self._request():
+            # Out of date: what is being planned now comes first, and then the next one from scratch.
+            self._reoptimise_unless_busy()
+        else:
+            assert self._worker is not None and self._health.plan is not None
+            self._in_work = WeighJob(
+                full=full,
+                request=request,
+                aircraft=self._all_aircraft(),
+                present=self._health.plan,
+                policy=replanning_policy(self._settings),
+                started_s=time.monotonic(),
+            )
+            self._worker.submit(self._in_work)
+
+    def _reoptimise_unless_busy(self) -> None:
+        if self._in_work is None:
+            self._reoptimise()
+
+    def _after_weighing(self, job: WeighJob, result: tuple[FleetPlan, str] | Weighed | Exception) -> None:
+        self._weighed = job.request
+        if not isinstance(result, Weighed):
+            self.get_logger().error(f"no plan from scratch: {result!r}")
+            self._tell_asked(False, f"no plan from scratch: {result!r}")
+            return
+        proven = (result.plan.min_uavs_bound, result.plan.proven_optimal)
+        news = proven != (job.present.min_uavs_bound, job.present.proven_optimal)
+        if result.adopted or news:
+            reason = f"plan from scratch: {result.reason}" if result.adopted else "bound proven, the same plan"
+            self._publish(result.plan, reason, job.request.settings.link.altitude_m, job.started_s)
+            self._warn_unserved(job.request.devices, result.plan, job.present)
+        else:
+            self.get_logger().debug(f"plan from scratch not flown: {result.reason}")
+        self._tell_asked(True, f"plan {self._health.plan_id}: {result.plan.summary()}; {result.reason}")
+
+    def _request(self) -> Request:
+        """What a plan from scratch would be asked for now."""
+        available = sum(craft.available for craft in self._all_aircraft())
+        return Request(self._table.devices, plan_settings(self._settings), available)
+
+    def _tell_asked(self, success: bool, message: str) -> None:
+        self._tell(self._asked, success, message)
+        self._asked = []
+
+    # Out
+
+    def _publish(self, plan: FleetPlan, reason: str, altitude_m: float, started_s: float) -> None:
         health = self._health
         health.plan_id += 1
         header = self._header()
-        altitude_m = job.settings.link.altitude_m
         now = time.monotonic()
-        message = conversions.deployment_message(
-            plan, header, health.plan_id, str(job.events), altitude_m, now - job.started_s
-        )
+        message = conversions.deployment_message(plan, header, health.plan_id, reason, altitude_m, now - started_s)
         # The deployment first: whoever gets a goal can look up what it belongs to.
         self._deployment_out.publish(message)
-        before = health.plan
-        had_cell = {cell.uav for cell in before.cells} if before is not None else set()
         for cell in plan.cells:
             if cell.uav:
                 self._goals_out[cell.uav].publish(conversions.goal_pose(cell, header, altitude_m))
                 self._powers_out[cell.uav].publish(conversions.power_allocation(cell.uav, cell, header, health.plan_id))
-        for name in sorted(had_cell - {cell.uav for cell in plan.cells} - {""}):
+        freed = set(health.plan.names.values()) - set(plan.names.values()) if health.plan is not None else set()
+        for name in sorted(freed):
             self._powers_out[name].publish(conversions.power_allocation(name, None, header, health.plan_id))
-        health.plan, health.plan_made_s, health.failure = plan, now, ""
-        health.planning_s, health.latency_s = now - job.started_s, time.monotonic() - job.first_event_s
+        health.plan, health.plan_made_s, health.planning_s, health.failure = plan, now, now - started_s, ""
         self.get_logger().info(
-            f"plan {health.plan_id} ({job.events}): {plan.summary()}; planned in {health.planning_s * 1e3:.1f} ms"
+            f"plan {health.plan_id} ({reason}): {plan.summary()}; planned in {health.planning_s * 1e3:.1f} ms"
         )
-        self._warn_unserved(job, plan, before)
-        self._answer(job.waiting, True, f"plan {health.plan_id}: {plan.summary()}")
+        if plan.interrupted:
+            self.get_logger().warning(
+                "interrupted on the way: "
+                + conversions.listed(f"device {name!r}: {why}" for name, why in plan.interrupted.items())
+            )
 
-    def _warn_unserved(self, job: _Job, plan: FleetPlan, before: FleetPlan | None) -> None:
+    def _warn_unserved(self, devices: Iterable[Device], plan: FleetPlan, before: FleetPlan | None) -> None:
         """Name each device that is newly left out, with its demand, once."""
-        known = dict(before.unserved) if before is not None else {}
-        demand = {device.id: device.rate_demand for device in job.devices}
+        known = before.unserved if before is not None else {}
+        demand = {device.id: device.rate_demand for device in devices}
         new = [
             f"device {name!r}: rate_demand {demand[name]:.6g} bit/s: {reason}"
-            for name, reason in plan.unserved
+            for name, reason in plan.unserved.items()
             if known.get(name) != reason
         ]
         if new:
             self.get_logger().warning(f"not served: {conversions.listed(new)}")
 
-    def _answer(self, waiting: Iterable[Future], success: bool, message: str) -> None:
+    def _tell(self, waiting: Iterable[Future], success: bool, message: str) -> None:
         for future in waiting:
             future.set_result((success, message))
 
@@ -350,13 +444,17 @@ class PlannerNode(ManagedNode):
             self.get_logger().warning(f"planning did not end within {_STOP_PATIENCE_S:g} s; its result is dropped")
         self._worker = None
         self._quiet.cancel()
-        if self._in_work is not None:
+        if isinstance(self._in_work, EventJob):
             self._events.merge(self._in_work.events)
             self._waiting.extend(self._in_work.waiting)
-            self._in_work = None
+        self._in_work = None
         self._overdue = False
-        self._answer(self._waiting, False, "the planner was deactivated")
-        self._waiting = []
+        if self._solver is not None:
+            self._solver.close()
+            self._solver = None
+        self._solving = False
+        self._tell([*self._waiting, *self._asked], False, "the planner was deactivated")
+        self._waiting, self._asked = [], []
 
     # The rest
 
@@ -364,6 +462,9 @@ class PlannerNode(ManagedNode):
         plan = self._health.plan
         goal = next((cell for cell in plan.cells if cell.uav == name), None) if plan is not None else None
         return conversions.aircraft_of(self._fleet[name], self._states.get(name), goal)
+
+    def _all_aircraft(self) -> tuple[Aircraft, ...]:
+        return tuple(self._aircraft(name) for name in self._fleet.names)
 
     def _header(self) -> Header:
         return Header(stamp=self.get_clock().now().to_msg(), frame_id=self._settings["map_frame"])

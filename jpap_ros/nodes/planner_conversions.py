@@ -28,6 +28,8 @@ from jpap_ros.planning.devices import Device, Fault
 _MAV_STATE_CRITICAL = 5
 _CHARGE_STATE_CRITICAL = 3
 
+_AIRBORNE = (VehicleState.LANDED_IN_AIR, VehicleState.LANDED_TAKEOFF, VehicleState.LANDED_LANDING)
+
 
 def devices_of(message: DeviceUpdate) -> list[Device]:
     """Devices of a report in metres."""
@@ -58,7 +60,13 @@ def aircraft_of(config: UavConfig, state: VehicleState | None, goal: FleetCell |
         position = config.home_m or (0.0, 0.0)
     if state is None:
         return Aircraft(config.name, position)
-    return Aircraft(config.name, position, state.link == VehicleState.LINK_CONNECTED, why_unavailable(state))
+    return Aircraft(
+        config.name,
+        position,
+        connected=state.link == VehicleState.LINK_CONNECTED,
+        airborne=state.landed_state in _AIRBORNE,
+        unavailable=why_unavailable(state),
+    )
 
 
 def why_unavailable(state: VehicleState) -> str:
@@ -95,12 +103,14 @@ def deployment_message(
             )
             for cell in plan.cells
         ],
-        unserved=[UnservedDevice(id=device, reason=why) for device, why in plan.unserved],
+        unserved=[UnservedDevice(id=device, reason=why) for device, why in plan.unserved.items()],
         uavs_needed=plan.uavs_needed,
         min_uavs_bound=-1 if plan.min_uavs_bound is None else plan.min_uavs_bound,
         proven_optimal=plan.proven_optimal,
         gap=plan.gap,
         average_uav_rate=plan.average_uav_rate,
+        average_uav_rate_bound=math.nan,
+        interrupted=list(plan.interrupted),
         planning_time=_duration(planning_time_s),
     )
 

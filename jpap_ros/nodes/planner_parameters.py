@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 from jpap_ros.fleet.plan import PlanSettings
 from jpap_ros.nodes.parameters import Param, fleet_file
 from jpap_ros.planning import SCHEMES, LinkBudget
+from jpap_ros.planning.replanning_decision import ReplanningPolicy
 
 _LINK = LinkBudget()
+_POLICY = ReplanningPolicy()
 
 
 def planner_parameters() -> tuple[Param, ...]:
@@ -34,6 +37,20 @@ def planner_parameters() -> tuple[Param, ...]:
             60.0,
         ),
         Param("debounce_max_s", 0.2, "Longest time that a stream of events can put planning off [s]", 0.0, 600.0),
+        Param(
+            "replanning",
+            "incremental",
+            "Answer to an event: the smallest change of the plan in force, or a plan from scratch",
+            choices=("incremental", "scratch"),
+        ),
+        Param("reoptimise", True, "Plan from scratch behind every change, and fly there where it is worth it"),
+        Param("uav_value", _POLICY.uav_value, "What a plan from scratch gains for each UAV saved", 0.0, 1e6),
+        Param("rate_value", _POLICY.rate_value, "Its gain for 100 % more average UAV rate", 0.0, 1e6),
+        Param("unserved_value", _POLICY.unserved_value, "Its gain for each weight of devices served more", 0.0, 1e6),
+        Param("metre_cost", _POLICY.metre_cost, "Its cost for each metre flown by any UAV [1/m]", 0.0, 1e6),
+        Param("launch_cost", _POLICY.launch_cost, "Its cost for each UAV launched or sent home", 0.0, 1e6),
+        Param("interruption_cost", _POLICY.interruption_cost, "Its cost for each weight interrupted", 0.0, 1e6),
+        Param("tolerance", _POLICY.tolerance, "What gain must exceed cost by for it to be flown", 0.0, 1e6),
         Param("device_timeout_s", 0.0, "A device not reported for so long has left; 0: never [s]", 0.0, 1e7),
     )
 
@@ -66,6 +83,11 @@ def plan_settings(values: dict[str, Any]) -> PlanSettings:
         min_separation_m=values["min_separation_m"],
         time_limit_s=values["time_limit_s"] or None,
     )
+
+
+def replanning_policy(values: dict[str, Any]) -> ReplanningPolicy:
+    """What a plan from scratch is worth, from parameter values by name."""
+    return ReplanningPolicy(**{item.name: values[item.name] for item in fields(ReplanningPolicy)})
 
 
 def _frame(value: str) -> str | None:
