@@ -405,10 +405,16 @@ class TestHub:
             assert report.received_per_s == pytest.approx(3 / 5)
             assert report.received_bytes_per_s == pytest.approx(63 / 5)
             assert report.sent_bytes_per_s == pytest.approx(21 / 5)
-            assert report.loss == pytest.approx(1 / 4)
+            assert report.loss == 0.0, "no ten seconds have passed"
             assert report.source_loss == ((7, 1, pytest.approx(1 / 4)),)
             assert report.skipped_bytes == 6
             assert report.max_bytes_per_s == 4000.0
+            # Of the four messages after the first up to the tenth second one is lost (2), and then none.
+            for seconds, sequence, loss in ((9.0, 4, 1 / 4), (9.0, 5, 1 / 4), (1.0, 6, 0.0)):
+                now[0] += seconds
+                vehicle.sendto(heartbeat(7, sequence=sequence), address)
+                receive(hub, 1)
+                assert LinkReport.of(link, now[0]).loss == pytest.approx(loss)
 
     def test_a_gap_over_an_outage_is_not_called_loss(self, vehicle: socket.socket) -> None:
         now = [1000.0]

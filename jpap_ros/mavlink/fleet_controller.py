@@ -21,6 +21,7 @@ from jpap_ros.mavlink.fleet_links import open_links
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal
 from jpap_ros.mavlink.guards import PlanDeadman
+from jpap_ros.mavlink.link_report import LinkReport
 from jpap_ros.mavlink.links import COMPONENT_ID, Link, LinkHub, Packet, Peer
 from jpap_ros.mavlink.routing import Forwarder
 from jpap_ros.mavlink.sightings import Sightings
@@ -131,6 +132,7 @@ class FleetController:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
         self._heartbeat_at = 0.0
+        self._link_reports: tuple[LinkReport, ...] = ()
         self._tick_s = 1.0 / max(TICK_HZ, settings.aircraft.setpoint_rate_hz)
         try:
             links = open_links(self._hub, config)
@@ -189,6 +191,11 @@ class FleetController:
         """Take an aircraft's goal away, or refuse one that could not be read: in the air it holds."""
         member = self._members[name]
         self._call(lambda now: self._change(member, lambda: member.aircraft.clear_goal(reason, refused), now))
+
+    @property
+    def link_reports(self) -> tuple[LinkReport, ...]:
+        """How each link was doing at the last heartbeat."""
+        return self._link_reports
 
     def planner_alive(self) -> None:
         """The planner gave a sign of life."""
@@ -254,6 +261,7 @@ class FleetController:
         if now >= self._heartbeat_at:
             self._heartbeat_at = now + HEARTBEAT_S
             self._beat()
+            self._link_reports = tuple(LinkReport.of(link, now) for link in self._hub.links)
         for member in self._members.values():
             if now >= member.tick_at:
                 member.tick_at = max(member.tick_at + self._tick_s, now)

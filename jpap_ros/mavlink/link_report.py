@@ -26,10 +26,13 @@ class LinkReport:
         Over the last seconds.
     max_bytes_per_s : float or None
     loss : float
-        Share of messages missing from the sequence numbers, 0 to 1, since the start.
+        Share of messages missing from the sequence numbers over the last 10 s, 0 to 1.
     source_loss : tuple of (system, component, loss)
+        Since the start.
     dropped, over_budget, bad_frames, skipped_bytes, reconnects : int
         Since the start; see `LinkStatistics`.
+    refused_per_s : float
+        Frames refused for their signature, or for having none, over the last seconds.
     unsigned, badly_signed, replayed : int
         Frames refused since the start.
     """
@@ -51,6 +54,7 @@ class LinkReport:
     bad_frames: int
     skipped_bytes: int
     reconnects: int
+    refused_per_s: float
     unsigned: int
     badly_signed: int
     replayed: int
@@ -72,13 +76,14 @@ class LinkReport:
             received_bytes_per_s=received[1],
             sent_bytes_per_s=sent[1],
             max_bytes_per_s=link.options.max_bytes_per_s,
-            loss=statistics.loss,
+            loss=statistics.recent_loss,
             source_loss=tuple((*source, known.loss) for source, known in sorted(statistics.sources.items())),
             dropped=statistics.dropped,
             over_budget=statistics.over_budget,
             bad_frames=statistics.bad_frames,
             skipped_bytes=statistics.skipped_bytes,
             reconnects=link.reconnects,
+            refused_per_s=statistics.refusals.rates(now)[0],
             unsigned=statistics.refused[Verdict.UNSIGNED],
             badly_signed=statistics.refused[Verdict.FORGED],
             replayed=statistics.refused[Verdict.REPLAYED],

@@ -151,7 +151,7 @@ class LinkHub:
                         peer.last_heard = now
                     # A telemetry radio adds its own reports and has no key; they do not make a sender trusted.
                     elif verdict is not Verdict.UNSIGNED or message.get_msgId() != RADIO_STATUS:
-                        statistics.count_refused(verdict)
+                        statistics.count_refused(verdict, len(frame), now)
                         continue
                 source = (message.get_srcSystem(), message.get_srcComponent())
                 statistics.count_received(source, message.get_seq(), len(frame), now)

@@ -9,6 +9,7 @@ from jpap_ros.mavlink.signing import Verdict
 WINDOW_S = 5
 _MAX_SOURCES = 512
 _OUTAGE_S = 5.0
+_LOSS_WINDOW_S = 10.0
 _HISTORY = (1 << 128) - 1
 
 
@@ -115,6 +116,10 @@ class LinkStatistics:
         Bytes between frames; frames with a wrong checksum; frames with an id that is not in our dialect.
     refused : dict of Verdict to int
         Frames refused on a link with a key: unsigned, badly signed, replayed.
+    refusals : Traffic
+        The same by time.
+    recent_loss : float
+        Share of messages lost over all sources in the last complete 10 s, 0 to 1.
     sources : dict of (system, component) to SourceStatistics
     """
 
@@ -126,14 +131,21 @@ class LinkStatistics:
     bad_frames: int = 0
     unknown_frames: int = 0
     refused: dict[Verdict, int] = field(default_factory=lambda: dict.fromkeys(Verdict, 0))
+    refusals: Traffic = field(default_factory=Traffic)
+    recent_loss: float = 0.0
     sources: dict[tuple[int, int], SourceStatistics] = field(default_factory=dict)
+    _window_began: float = float("-inf")
+    _window_totals: tuple[int, int] = (0, 0)
 
     @property
     def loss(self) -> float:
-        """Share of messages lost over all sources, 0 to 1."""
-        lost = sum(source.lost for source in self.sources.values())
-        expected = lost + sum(source.traffic.messages - source.duplicates for source in self.sources.values())
-        return lost / expected if expected else 0.0
+        """Share of messages lost over all sources since the start, 0 to 1."""
+        lost, came = self._totals()
+        return lost / (lost + came) if lost + came else 0.0
+
+    def _totals(self) -> tuple[int, int]:
+        sources = self.sources.values()
+        return sum(s.lost for s in sources), sum(s.traffic.messages - s.duplicates for s in sources)
 
     def count_received(self, source: tuple[int, int], sequence: int, size: int, now: float) -> None:
         """Count one good frame."""
@@ -145,7 +157,14 @@ class LinkStatistics:
                 del self.sources[min(self.sources, key=lambda key: self.sources[key].last_heard)]
             statistics = self.sources[source] = SourceStatistics()
         statistics.add(sequence, size, now)
+        if now - self._window_began >= _LOSS_WINDOW_S:
+            totals = self._totals()
+            # Messages that come late, and sources forgotten, make the totals fall.
+            lost, came = (max(0, new - old) for new, old in zip(totals, self._window_totals, strict=True))
+            self.recent_loss = lost / (lost + came) if lost + came else 0.0
+            self._window_began, self._window_totals = now, totals
 
-    def count_refused(self, verdict: Verdict) -> None:
+    def count_refused(self, verdict: Verdict, size: int, now: float) -> None:
         """Count one frame refused for its signature, or for having none."""
         self.refused[verdict] += 1
+        self.refusals.add(size, now)

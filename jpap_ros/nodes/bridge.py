@@ -23,7 +23,7 @@ from jpap_ros.fleet.config import load_fleet
 from jpap_ros.mavlink.fleet_controller import FleetController, FleetOrder, OrderResult
 from jpap_ros.mavlink.snapshot import AircraftSnapshot
 from jpap_ros.nodes.bridge_conversions import goal_of, pose_of, state_message
-from jpap_ros.nodes.bridge_diagnostics import aircraft_status
+from jpap_ros.nodes.bridge_diagnostics import aircraft_status, link_status
 from jpap_ros.nodes.bridge_parameters import bridge_parameters, controller_settings
 from jpap_ros.nodes.goal_book import GoalBook
 from jpap_ros.nodes.parameters import StartError, declare, values
@@ -213,6 +213,7 @@ class BridgeNode(Node):
             self._publish_state(snapshot)
         node = self.get_fully_qualified_name()
         status = [aircraft_status(node, self._snapshots[name]) for name in self._names if name in self._snapshots]
+        status += [link_status(node, report) for report in self._controller.link_reports]
         self._diagnostics_out.publish(DiagnosticArray(header=self._header(), status=status))
 
     def _header(self) -> Header:
