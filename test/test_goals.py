@@ -7,9 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jpap_ros.mavlink.goals import Goal, GoalLife, GoalState
+from jpap_ros.mavlink.vehicle import TargetEcho
 from jpap_ros.nodes.goal_book import GoalBook
 
 TARGET = (-378136000, 1449631000)
+
+
+def echo(lat_e7: int, lon_e7: int) -> TargetEcho:
+    return TargetEcho(lat_e7, lon_e7, 50.0, 5, 0.0)
 
 
 def sent(distance_m: float = 100.0) -> GoalLife:
@@ -25,7 +30,7 @@ def test_the_good_life() -> None:
     life.sent(TARGET, 10.0)
     life.moved(100.0)
     states.append(life.state)
-    life.echoed(*TARGET)
+    life.echoed(echo(*TARGET))
     states.append(life.state)
     life.moved(99.0)
     states.append(life.state)
@@ -38,13 +43,13 @@ def test_the_good_life() -> None:
 @pytest.mark.parametrize("off", [(2, 0), (0, -2), (2, 2)])
 def test_an_echo_within_two_units_is_the_target(off: tuple[int, int]) -> None:
     life = sent()
-    life.echoed(TARGET[0] + off[0], TARGET[1] + off[1])
+    life.echoed(echo(TARGET[0] + off[0], TARGET[1] + off[1]))
     assert life.state is GoalState.ACCEPTED
 
 
 def test_an_echo_of_another_target_is_no_acceptance_and_is_told() -> None:
     life = sent()
-    life.echoed(TARGET[0] + 3, TARGET[1])
+    life.echoed(echo(TARGET[0] + 3, TARGET[1]))
     assert life.state is GoalState.SENT
     life.tick(14.9, "")
     assert life.state is GoalState.SENT
@@ -59,7 +64,7 @@ def test_no_sign_of_obeying_is_rejection_until_there_is_one() -> None:
     life.sent(TARGET, 14.0)  # a repetition does not start the time anew
     life.tick(15.1, "")
     assert life.state is GoalState.REJECTED and "no sign of obeying" in life.reason
-    life.echoed(*TARGET)
+    life.echoed(echo(*TARGET))
     assert (life.state, life.reason) == (GoalState.ACCEPTED, "")
 
 
@@ -89,7 +94,7 @@ def test_a_new_target_begins_a_new_life() -> None:
     life.moved(0.5)
     life.sent((TARGET[0] + 1000, TARGET[1]), 20.0)
     assert life.state is GoalState.SENT
-    life.echoed(*TARGET)  # late echo of the former target
+    life.echoed(echo(*TARGET))  # late echo of the former target
     assert life.state is GoalState.SENT
 
 
@@ -97,7 +102,7 @@ def test_a_new_target_begins_a_new_life() -> None:
 def test_set_aside_stays_until_sent_again(state: GoalState) -> None:
     life = sent()
     life.set_aside(state, "because")
-    life.echoed(*TARGET)
+    life.echoed(echo(*TARGET))
     life.moved(0.1)
     life.acknowledged()
     life.refused("no")

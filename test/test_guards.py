@@ -19,9 +19,10 @@ from jpap_ros.mavlink.guards import (
     check_fence,
     check_jump,
     datum_problem,
+    echo_problem,
     target_of,
 )
-from jpap_ros.mavlink.vehicle import Home, Vehicle
+from jpap_ros.mavlink.vehicle import Home, TargetEcho, Vehicle
 
 FRAME = LocalFrame(MapOrigin(-37.8136, 144.9631, 20.0))
 
@@ -50,6 +51,24 @@ def test_heights_and_heading_of_a_target() -> None:
     assert (target.lat_e7, target.lon_e7) == (-378136000, 1449631000)
     assert (target.height_m, target.amsl_m) == (50.0, 70.0)
     assert target.yaw_ned == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.parametrize("up_m", [0.0, -50.0, 0.99])
+def test_a_height_left_at_zero_does_not_land_an_aircraft(up_m: float) -> None:
+    with pytest.raises(GoalRefused, match="at least 1 m above the ground"):
+        target_of(Goal(0.0, 0.0, up_m), FRAME)
+
+
+def test_an_echo_at_another_altitude_is_told() -> None:
+    # Meant: home at 33 m AMSL + 50 m = 83 m.
+    home = Home(-37.8136, 144.9631, 33.0)
+    for frame, altitude_m in ((0, 80.0), (5, 87.9), (3, 47.0), (6, 54.9)):
+        assert echo_problem(TargetEcho(0, 0, altitude_m, frame, 0.0), 83.0, home) is None
+    for frame, altitude_m, flown in ((5, 50.0, "50.0"), (6, 83.0, "116.0")):
+        problem = echo_problem(TargetEcho(0, 0, altitude_m, frame, 0.0), 83.0, home)
+        assert problem is not None and flown in problem and "83.0 m is meant" in problem
+    # Height above terrain: nothing can be said.
+    assert echo_problem(TargetEcho(0, 0, 500.0, 11, 0.0), 83.0, home) is None
 
 
 def test_fence_and_jump() -> None:

@@ -37,10 +37,15 @@ def test_position_in_si_units() -> None:
     assert vehicle.position.yaw_ned == pytest.approx(math.pi / 2)
 
 
-def test_zero_zero_is_no_position() -> None:
+@pytest.mark.parametrize(("lat", "lon"), [(0, 0), (900_000_001, 0), (0, -1_800_000_001), (-(2**31), 2**31 - 1)])
+def test_what_cannot_be_a_position_is_none(lat: int, lon: int) -> None:
     vehicle = Vehicle(1)
-    vehicle.hear(position(1000, 0, 0), 5.0)
+    vehicle.hear(position(1000, lat, lon), 5.0)
     assert vehicle.position is None
+    for altitude_mm in (0, 2**31 - 1):
+        home = mavlink.MAVLink_home_position_message(lat, lon, altitude_mm, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+        vehicle.hear(home, 5.0)
+    assert vehicle.home is None
 
 
 def test_a_position_gets_old() -> None:

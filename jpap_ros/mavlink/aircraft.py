@@ -30,6 +30,7 @@ from jpap_ros.mavlink.guards import (
     check_fence,
     check_jump,
     datum_problem,
+    echo_problem,
     target_of,
 )
 from jpap_ros.mavlink.streams import StreamRequests
@@ -243,8 +244,8 @@ class Aircraft:
             self._rebooted()
         if kind == "GLOBAL_POSITION_INT":
             self._measure()
-        elif kind == "POSITION_TARGET_GLOBAL_INT":
-            self.life.echoed(message.lat_int, message.lon_int)
+        elif kind == "POSITION_TARGET_GLOBAL_INT" and self.vehicle.echo is not None:
+            self.life.echoed(self.vehicle.echo)
 
     @property
     def mode(self) -> str:
@@ -331,12 +332,13 @@ class Aircraft:
         obstacle = self._obstacle()
         if obstacle is not None:
             self.life.set_aside(*obstacle)
+            self._goal_begun = False
         elif self._reposition is not None and self._reposition.outcome is not None:
             self._take_reposition_answer(self._reposition)
         if not self.streaming or not self._can_send():
             self._sent_target = None
             return
-        target = self._goal_target if obstacle is None else self._hold()
+        target = self._goal_target if obstacle is None else self._hold() or self._sent_target
         if target is None:
             return
         if obstacle is None:
@@ -380,7 +382,8 @@ class Aircraft:
             return GoalState.NONE, "waiting: not in the air yet"
         if vehicle.critical:
             return GoalState.REJECTED, f"the autopilot reports MAV_STATE {vehicle.system_status}: it holds"
-        if not vehicle.position_fresh(self.now):
+        # A gap in telemetry must not turn back an aircraft that is on its way.
+        if not self._goal_begun and (self.enu_m is None or not vehicle.position_fresh(self.now)):
             return GoalState.NONE, "waiting: its position is not known"
         silence_s = self._deadman.silence_s(self.now)
         if silence_s is not None:
@@ -433,7 +436,17 @@ class Aircraft:
             found.append("home is not set: heights above home cannot be flown; set home or wait for a better fix")
         if problem := datum_problem(vehicle, self.datum, self._frame.origin.altitude_amsl_m):
             found.append(problem)
+        if problem := self._echo_problem():
+            found.append(problem)
         return found
+
+    def _echo_problem(self) -> str | None:
+        target, home, echo = self._goal_target, self.vehicle.home, self.vehicle.echo
+        echoed = self.life.state in (GoalState.ACCEPTED, GoalState.EN_ROUTE, GoalState.REACHED)
+        if not echoed or target is None or home is None or echo is None or not self.life.is_target(echo):
+            return None
+        relative = self.datum is AltitudeDatum.RELATIVE
+        return echo_problem(echo, home.amsl_m + target.height_m if relative else target.amsl_m, home)
 
     def begin_hold(self) -> None:
         """Hold where it is now, not where it held before."""
@@ -442,7 +455,8 @@ class Aircraft:
 
     def _hold(self) -> Target | None:
         position = self.vehicle.position
-        if self._hold_target is None and position is not None:
+        known = self.enu_m is not None and self.vehicle.position_fresh(self.now)
+        if self._hold_target is None and position is not None and known:
             self._hold_target = Target(position.latitude, position.longitude, position.relative_m, position.amsl_m)
             self._send_at = -math.inf
         return self._hold_target

@@ -101,6 +101,8 @@ class FleetController:
     config : FleetConfig
     settings : ControllerSettings
     on_snapshot : callable, optional
+    on_failure : callable, optional
+        Called on the I/O thread as its last act if it fails; see `failure`.
 
     Raises
     ------
@@ -120,16 +122,20 @@ class FleetController:
         config: FleetConfig,
         settings: ControllerSettings,
         on_snapshot: Callable[[AircraftSnapshot], None] = lambda snapshot: None,
+        on_failure: Callable[[], None] = lambda: None,
     ) -> None:
         for uav in config.uavs:
             if uav.sysid == settings.sysid:
                 raise ValueError(f"the bridge's sysid {settings.sysid} is that of {uav.name}: choose another")
         self._settings = settings
         self._on_snapshot = on_snapshot
+        self._on_failure = on_failure
         self._hub = LinkHub(settings.sysid)
         self._deadman = PlanDeadman(settings.plan_timeout_s)
         self._calls: deque[Callable[[float], None]] = deque()
         self._stopping = threading.Event()
+        #: What ended the I/O thread against expectation; its heartbeats have stopped then, and aircraft are on their own.
+        self.failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
         self._heartbeat_at = 0.0
         self._link_reports: tuple[LinkReport, ...] = ()
@@ -246,9 +252,13 @@ class FleetController:
         self._tick(member, now)
 
     def _run(self) -> None:
-        while not self._stopping.is_set():
-            self._cycle()
-        self._part()
+        try:
+            while not self._stopping.is_set():
+                self._cycle()
+            self._part()
+        except Exception as error:
+            self.failure = error
+            self._on_failure()
 
     def _cycle(self) -> None:
         now = time.monotonic()

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from jpap_ros.mavlink.vehicle import TargetEcho
+
 #: An echo this close in latitude and longitude is the target that was sent [1e-7 deg].
 ECHO_TOLERANCE_E7 = 2
 #: Targets on the wire for this long without a matching echo or progress: not obeyed [s].
@@ -114,14 +116,19 @@ class GoalLife:
         if target is not None:
             self.sent(target, now)
 
-    def echoed(self, lat_e7: int, lon_e7: int) -> None:
-        """The autopilot says where it is going [1e-7 deg]."""
+    def is_target(self, echo: TargetEcho) -> bool:
+        """Whether an echo is of the target that is on the wire now, by latitude and longitude."""
         if self._target_e7 is None:
-            return
-        if max(abs(lat_e7 - self._target_e7[0]), abs(lon_e7 - self._target_e7[1])) <= ECHO_TOLERANCE_E7:
+            return False
+        off = max(abs(echo.lat_e7 - self._target_e7[0]), abs(echo.lon_e7 - self._target_e7[1]))
+        return off <= ECHO_TOLERANCE_E7
+
+    def echoed(self, echo: TargetEcho) -> None:
+        """The autopilot says where it is going."""
+        if self.is_target(echo):
             self.acknowledged()
-        else:
-            self._other_echo = (lat_e7, lon_e7)
+        elif self._target_e7 is not None:
+            self._other_echo = echo.lat_e7, echo.lon_e7
 
     def acknowledged(self) -> None:
         """The autopilot took the goal, by echo or by COMMAND_ACK."""

@@ -5,12 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from jpap_ros.fleet.fence import Fence
 from jpap_ros.mavlink.autopilots.base import AltitudeDatum, Target
 from jpap_ros.mavlink.geodesy import LocalFrame, degrees_to_e7, yaw_ned_from_enu
 from jpap_ros.mavlink.goals import Goal
-from jpap_ros.mavlink.vehicle import Vehicle
+from jpap_ros.mavlink.vehicle import Home, TargetEcho, Vehicle
 
+#: No goal is lower above the ground: a planner that leaves the height at 0 must not land an aircraft [m].
+MIN_HEIGHT_M = 1.0
+#: The autopilot's own idea of its target may be off by this much [m].
+ECHO_ALTITUDE_TOLERANCE_M = 5.0
 #: A map origin's altitude that differs from home's by more than this puts an AMSL goal at a wrong height [m].
 DATUM_TOLERANCE_M = 15.0
 #: Where the difference is this close to the geoid's separation, the altitude was given above the ellipsoid [m].
@@ -46,6 +52,8 @@ def target_of(goal: Goal, frame: LocalFrame) -> Target:
         value = getattr(goal, name)
         if not math.isfinite(value):
             raise GoalRefused(f"goal {name} must be finite, got {value!r}")
+    if goal.up_m < MIN_HEIGHT_M:
+        raise GoalRefused(f"goal up_m must be at least {MIN_HEIGHT_M:g} m above the ground, got {goal.up_m!r}")
     if goal.yaw is not None and not math.isfinite(goal.yaw):
         raise GoalRefused(f"goal yaw must be finite, got {goal.yaw!r}")
     try:
@@ -90,6 +98,31 @@ def datum_problem(vehicle: Vehicle, datum: AltitudeDatum, origin_amsl_m: float) 
     return (
         f"altitude datum: origin.altitude_amsl_m is {origin_amsl_m:.1f} m but home is at {vehicle.home.amsl_m:.1f} m "
         f"above mean sea level; {cause}; correct it in the fleet file or use altitude_datum relative"
+    )
+
+
+def echo_problem(echo: TargetEcho, altitude_m: float, home: Home | None) -> str | None:
+    """How the altitude that the autopilot flies to differs from the one that was meant; None if it does not.
+
+    Parameters
+    ----------
+    echo : TargetEcho
+    altitude_m : float
+        What was meant, above mean sea level [m].
+    home : Home or None
+        Needed where the echo is relative to home.
+    """
+    if echo.frame in (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT):
+        flown_m = echo.altitude_m
+    elif echo.frame in (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT) and home:
+        flown_m = home.amsl_m + echo.altitude_m
+    else:
+        return None
+    if abs(flown_m - altitude_m) <= ECHO_ALTITUDE_TOLERANCE_M:
+        return None
+    return (
+        f"altitude datum: the autopilot flies to {flown_m:.1f} m above mean sea level, {altitude_m:.1f} m is meant; "
+        "check its home and the fleet file's altitude_datum and origin.altitude_amsl_m"
     )
 
 

@@ -213,27 +213,31 @@ def _open_to_goals(aircraft: Aircraft) -> Wait:
     """Bring an aircraft in the air into the mode that takes goals; it holds until a goal flows."""
     autopilot = _autopilot(aircraft)
     aircraft.begin_hold()
-    aircraft.authority.take({aircraft.mode, *_now_expected(aircraft)}, aircraft.now)
+    # A take-off may end by itself in another mode, meanwhile.
+    own_modes = autopilot.takeoff_modes if aircraft.authority.ours else frozenset()
+    aircraft.authority.take({aircraft.mode, *own_modes}, aircraft.now)
     streams = aircraft.settings.transport is Transport.SETPOINT
     if streams and autopilot.stream_lead_s > 0.0:
         aircraft.streaming = True
         yield from _pause(aircraft, autopilot.stream_lead_s)
-    yield from _set_mode(aircraft, aircraft.goal_mode)
+    yield from _set_mode(aircraft, aircraft.goal_mode, own_modes)
     aircraft.streaming = aircraft.goals_open = True
 
 
-def _now_expected(aircraft: Aircraft) -> frozenset[str]:
-    return _autopilot(aircraft).takeoff_modes if aircraft.authority.ours else frozenset()
+def _set_mode(aircraft: Aircraft, mode: str, meanwhile: frozenset[str] = frozenset()) -> Wait:
+    yield from _change_mode(aircraft, _autopilot(aircraft).set_mode(mode), mode, meanwhile)
 
 
-def _set_mode(aircraft: Aircraft, mode: str) -> Wait:
-    yield from _change_mode(aircraft, _autopilot(aircraft).set_mode(mode), mode)
+def _change_mode(aircraft: Aircraft, command: Command, mode: str, meanwhile: frozenset[str] = frozenset()) -> Wait:
+    """Send what changes the mode and believe the heartbeat, not the answer.
 
-
-def _change_mode(aircraft: Aircraft, command: Command, mode: str) -> Wait:
-    """Send what changes the mode and believe the heartbeat, not the answer."""
+    Parameters
+    ----------
+    meanwhile : frozenset of str
+        Modes on the way that are no sign of a pilot.
+    """
     began = aircraft.now
-    aircraft.authority.take({aircraft.mode, mode}, aircraft.now)
+    aircraft.authority.take({aircraft.mode, mode, *meanwhile}, aircraft.now)
     if aircraft.mode != mode:
         outcome = yield from _command(aircraft, command)
         if outcome.accepted or outcome.result is None:

@@ -17,6 +17,8 @@ AUTOPILOT_COMPONENT = 1
 REORDER_MS = 5_000
 #: After this long without GLOBAL_POSITION_INT the position is not known any more [s].
 POSITION_TIMEOUT_S = 5.0
+#: No multicopter is higher above or deeper below mean sea level [mm].
+MAX_ALTITUDE_MM = 20_000_000
 _WORDS_KEPT = 20
 _UNKNOWN_UINT16 = 0xFFFF
 
@@ -215,8 +217,7 @@ class Vehicle:
         self.link = LinkState.CONNECTED
 
     def _global_position(self, message: Any, now: float) -> None:
-        if message.lat == 0 and message.lon == 0:
-            # What an autopilot sends before its first fix.
+        if not _plausible(message.lat, message.lon, message.alt):
             return
         yaw = math.nan if message.hdg == _UNKNOWN_UINT16 else math.radians(message.hdg / 100)
         self.position = Position(
@@ -250,6 +251,8 @@ class Vehicle:
         self.battery.charge_state = message.charge_state
 
     def _home_position(self, message: Any, now: float) -> None:
+        if not _plausible(message.latitude, message.longitude, message.altitude):
+            return
         self.home = Home(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
 
     def _position_target(self, message: Any, now: float) -> None:
@@ -272,3 +275,10 @@ class Vehicle:
             del self._chunks[message.id]
             text = "".join(chunks[i] for i in sorted(chunks))
         self.words.append(Words(message.severity, text, now))
+
+
+def _plausible(lat_e7: int, lon_e7: int, altitude_mm: int) -> bool:
+    """Whether a position can be one: autopilots send (0, 0) before their first fix, and radios garble."""
+    if lat_e7 == 0 and lon_e7 == 0:
+        return False
+    return abs(lat_e7) <= 900_000_000 and abs(lon_e7) <= 1_800_000_000 and abs(altitude_mm) <= MAX_ALTITUDE_MM

@@ -62,7 +62,9 @@ class BridgeNode(Node):
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._wake = self.create_guard_condition(self._on_wake)
         try:
-            self._controller = FleetController(fleet, controller_settings(settings, fleet), self._on_snapshot)
+            self._controller = FleetController(
+                fleet, controller_settings(settings, fleet), self._on_snapshot, self._wake.trigger
+            )
         except (ValueError, OSError) as error:
             raise StartError(str(error)) from None
         self._controller.start()
@@ -171,6 +173,8 @@ class BridgeNode(Node):
         self._wake.trigger()
 
     def _on_wake(self) -> None:
+        if self._controller is not None and self._controller.failure is not None:
+            raise self._controller.failure
         while self._fresh:
             name, snapshot = self._fresh.popitem()
             before = self._snapshots.get(name)
