@@ -27,7 +27,7 @@ from jpap_ros.planning import solve
 SCHEME = "jpap"
 TRANSMIT_POWER_W, NOISE_W, REFERENCE_GAIN, ALTITUDE_M = 10.0, 1e-12, 1e-3, 50.0
 ORIGIN = (-37.8136, 144.9631)
-UAVS = [f"uav{i}" for i in range(1, 7)]
+UAVS = [f"uav{i}" for i in range(1, 25)]
 
 #: Three groups, 800 m and more apart: no UAV can serve two of them at these demands.
 GROUPS = {
@@ -446,6 +446,28 @@ def test_the_operator_can_ask_for_a_plan(planner, graph):
     assert answer.success and answer.message.startswith(f"plan 2: {len(plan.cells)} UAVs serve 5 devices; gain 0 ")
     again = node.plan("operator asked")
     assert again.plan_id == 2 and again.cells == plan.cells
+
+
+def test_a_quick_plan_is_followed_by_the_proven_one(planner):
+    """The optimal scheme: oracle for the number of UAVs and its proof is `solve` with all the time it wants."""
+    rng = np.random.default_rng(4)
+    where, rates = rng.uniform(-600, 600, (24, 2)).tolist(), rng.uniform(15, 19, 24).tolist()
+    devices = {f"d{i}": (x, y, r) for i, ((x, y), r) in enumerate(zip(where, rates, strict=True))}
+    best = solve(where, rates, scheme="optimal")
+    assert best.proven_optimal
+    node = planner(scheme="optimal", uavs=24, time_limit_s=60.0)
+    node.send(devices)
+    quick = node.plan("24 devices joined")
+    assert_demands_met(quick, devices)
+    proven = node.graph.wait(lambda: next((d for d in node.deployments if d.proven_optimal), None), "the proven plan")
+    assert_demands_met(proven, devices)
+    assert {d for cell in proven.cells for d in cell.device_ids} == set(devices)
+    assert len(proven.cells) == proven.uavs_needed == proven.min_uavs_bound == len(best.uav_positions)
+    assert proven.gap == 0.0 and proven.average_uav_rate >= quick.average_uav_rate
+    assert proven.plan_id > quick.plan_id or quick.proven_optimal
+    # The operator's question is answered by a plan from scratch as well, which now gains nothing.
+    answer = node.graph.call(Trigger, "planner/replan")
+    assert answer.success and f"{len(proven.cells)} UAVs serve 24 devices" in answer.message
 
 
 def test_devices_that_fall_silent_are_taken_out(planner):

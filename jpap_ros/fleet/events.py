@@ -43,7 +43,7 @@ class Events:
         self._others = {**earlier._others, **self._others}
 
     def __str__(self) -> str:
-        parts = []
+        parts: list[str] = []
         for event in _DEVICE_EVENTS:
             if count := self._devices[event]:
                 noun = "" if parts else " device" if count == 1 else " devices"

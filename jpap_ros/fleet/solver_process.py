@@ -75,11 +75,7 @@ class SolverProcess:
         """End the process, whatever it is doing."""
         self._closing = True
         if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            for pipe in (self._process.stdin, self._process.stdout):
-                with contextlib.suppress(OSError):
-                    pipe.close()  # type: ignore[union-attr]
+            _end(self._process)
 
     def _ask(self, process: subprocess.Popen[bytes], request: Request) -> None:
         answer: Deployment | SolverError
@@ -88,11 +84,22 @@ class SolverProcess:
             pickle.dump(request, process.stdin)
             process.stdin.flush()
             answer = _unpacked(pickle.load(process.stdout))
-        except (OSError, EOFError, ValueError) as error:
+        except (OSError, EOFError, ValueError, pickle.UnpicklingError) as error:
+            _end(process)
             answer = SolverError(f"the solver's process ended: {error!r}")
         if not self._closing:
             self._answers.put((request, answer))
             self._done()
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()
+    for pipe in (process.stdin, process.stdout):
+        # Closing flushes, and there is nobody left to read.
+        with contextlib.suppress(OSError):
+            if pipe is not None:
+                pipe.close()
 
 
 def _packed(deployment: Deployment) -> dict[str, Any]:
