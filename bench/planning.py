@@ -1,0 +1,136 @@
+"""Time of `jpap` over the number of devices, and against the listing taken literally and with a generic solver.
+
+All in one run, in CPU time of one thread, so that the ratios hold whatever else the machine does. Devices have the
+density of the paper's K = 100 (1500 m x 1500 m); time is the median of several instances, planning only. Cells are
+compared one by one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.optimize import minimize
+
+from jpap_ros.planning import LinkBudget, solve
+from jpap_ros.planning.allocation import QDPA
+from jpap_ros.planning.geometry import nearest_common_point
+from jpap_ros.planning.reference import drmp_position, nearest_of_the_best, reference_jpap, sum_rate
+from jpap_ros.planning.solver import Problem, validate
+
+SIZES = (20, 40, 60, 80, 100, 300, 1000, 3000, 10_000)
+PAPER_DEVICES, PAPER_SIDE_M = 100, 1500.0
+
+
+def instance(count: int, seed: int) -> Problem:
+    """Devices at the density of the paper's K = 100, demands uniform in [15, 20] bit/s/Hz."""
+    draw = np.random.default_rng(seed)
+    side = PAPER_SIDE_M * math.sqrt(count / PAPER_DEVICES)
+    return validate(
+        draw.uniform(0, side, (count, 2)), draw.uniform(15, 20, count), LinkBudget(), None, None, None, 0.0, None, 0
+    )
+
+
+def slsqp_position(
+    points: np.ndarray, strengths: np.ndarray, squared_radii: np.ndarray, height2: float, start: np.ndarray
+) -> np.ndarray:
+    """DRMP by SciPy's SLSQP, from the present position and from each device."""
+    xs, ys = points.T.tolist()
+    found = []
+    for first in [start, *points]:
+        feasible = nearest_common_point(*map(float, first), xs, ys, squared_radii.tolist())
+        result = minimize(
+            lambda v: -sum_rate(v, points, strengths, height2),
+            first if feasible is None else feasible,
+            method="SLSQP",
+            constraints={"type": "ineq", "fun": lambda v: (squared_radii - ((points - v) ** 2).sum(axis=1)) / height2},
+        )
+        position = nearest_common_point(*result.x.tolist(), xs, ys, squared_radii.tolist())
+        if position is not None:
+            found.append(np.array(position))
+    return nearest_of_the_best(found, points, strengths, height2, start)
+
+
+def timed(run: Callable[[], object]) -> float:
+    """Seconds of CPU time."""
+    started = time.process_time()
+    run()
+    return time.process_time() - started
+
+
+def median_time(count: int, repeats: int) -> float:
+    """Median over instances of the best of three runs [s]."""
+    times = []
+    for seed in range(repeats):
+        problem = instance(count, seed)
+        times.append(
+            min(timed(lambda p=problem: solve(p.positions, p.rates)) for _ in range(3 if count <= 1000 else 1))
+        )
+    return statistics.median(times)
+
+
+def compare(name: str, placer: Callable[..., np.ndarray], wanted: float, instances: int) -> None:
+    """Print how many times faster `jpap` is than the listing with a placer, and whether the cells are the same."""
+    slow = fast = 0.0
+    same = 0
+    for seed in range(instances):
+        problem = instance(PAPER_DEVICES, seed)
+        fast += min(timed(lambda p=problem: solve(p.positions, p.rates)) for _ in range(3))
+        started = time.process_time()
+        reference = reference_jpap(problem, QDPA, placer)
+        slow += time.process_time() - started
+        deployment = solve(problem.positions, problem.rates)
+        cells = [deployment.cell(uav).tolist() for uav in range(len(deployment.uav_positions))]
+        same += cells == [sorted(members) for members, _ in reference]
+    print(
+        f"{name}: {slow / instances:.3f} s, jpap {fast / instances * 1e3:.1f} ms, {slow / fast:.0f} times faster"
+        f" (wanted {wanted:.0f}); all cells identical in {same} of {instances} instances"
+    )
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--instances", type=int, default=5, help="instances for each figure (default: 5)")
+    parser.add_argument("--largest", type=int, default=SIZES[-1], help="most devices (default: %(default)s)")
+    parser.add_argument("--plot", type=Path, default=Path("bench/planning.png"), help="where to save the log-log plot")
+    arguments = parser.parse_args()
+    sizes = [count for count in SIZES if count <= arguments.largest]
+    times = [median_time(count, arguments.instances if count <= 1000 else 1) for count in sizes]
+    for count, seconds in zip(sizes, times, strict=True):
+        print(f"jpap, K = {count:6d}: {seconds * 1e3:9.1f} ms")
+    slope = np.polyfit(np.log(sizes), np.log(times), 1)[0]
+    print(f"log-log slope: {slope:.2f} (K log K over the same sizes: {_slope_of_k_log_k(sizes):.2f})")
+    _plot(arguments.plot, sizes, times)
+    compare("listing taken literally (subgradient, 1 m grid)", drmp_position, 100, arguments.instances)
+    compare("listing with SLSQP at each step", slsqp_position, 5, arguments.instances)
+
+
+def _slope_of_k_log_k(sizes: list[int]) -> float:
+    counts = np.array(sizes, float)
+    return float(np.polyfit(np.log(counts), np.log(counts * np.log(counts)), 1)[0])
+
+
+def _plot(path: Path, sizes: list[int], times: list[float]) -> None:
+    figure, axes = plt.subplots(figsize=(5, 4), layout="constrained")
+    axes.loglog(sizes, times, "o-", label="jpap")
+    counts = np.array(sizes, float)
+    axes.loglog(counts, times[-1] * counts * np.log(counts) / (counts[-1] * np.log(counts[-1])), "--", label="K log K")
+    axes.set(xlabel="devices K, at constant density", ylabel="time [s]")
+    axes.grid(which="both", alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=150)
+    print(f"plot: {path}")
+
+
+if __name__ == "__main__":
+    main()
