@@ -142,8 +142,8 @@ def plan_from_scratch(
         lost = _lost_cells(present, available, demands)
         base = replan(present.live, demands, limits, lost).plan
         live = consider(full, base, demands, limits, lost_cells=lost).change.plan
-    if slow:
-        # The quick scheme's cells, with the power rule of the scheme that was asked for.
+    if slow or len(live.cells) > len(available):
+        # The quick scheme's cells, with the power rule of the scheme that was asked for; no more than there are UAVs.
         live = replan(live, demands, limits).plan
     interrupted = compare(present.live, live, limits).interrupted if present is not None else {}
     return _named(live, settings, available, present, full=None if slow else full, interrupted=interrupted)
