@@ -272,3 +272,35 @@ def test_the_signer_of_a_key_file_keeps_its_state_beside_it(tmp_path: Path) -> N
 def test_a_key_has_32_bytes() -> None:
     with pytest.raises(SigningError, match="32 bytes, got 5"):
         SigningKey(b"short")
+
+
+class TestBesidePymavlink:
+    """The signing of pymavlink, which MAVProxy uses, on the other side."""
+
+    @staticmethod
+    def other_side() -> dialect.MAVLink:
+        other = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+        other.signing.secret_key = KEY
+        other.signing.sign_outgoing = True
+        other.signing.timestamp = START
+        return other
+
+    def test_it_accepts_what_is_sent(self, signed: SignedLink) -> None:
+        other = self.other_side()
+        for _ in range(3):
+            assert signed.hub.send(signed.link, BEAT)
+            (message,) = other.parse_buffer(signed.vehicle.recv(1000))
+            assert message.get_type() == "HEARTBEAT"
+            assert message.get_signed()
+        assert other.signing.goodsig_count == 3
+        assert signed.hub.send(signed.hub.links[0], BEAT)
+        with pytest.raises(dialect.MAVError, match="Invalid signature"):
+            other.parse_buffer(signed.vehicle.recv(1000))
+
+    def test_what_it_sends_is_accepted(self, signed: SignedLink) -> None:
+        other = self.other_side()
+        frames = []
+        for _ in range(3):
+            frames.append(BEAT.pack(other))
+            other.seq += 1
+        assert [packet.message.get_seq() for packet in signed.hear(*frames)] == [0, 1, 2]
