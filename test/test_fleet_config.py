@@ -127,6 +127,7 @@ def test_urls(url: str, parts: tuple[str, str, int]) -> None:
         (MINIMAL.replace("-37.8", ".nan"), r"origin\.latitude must be a number from -89 to 89, got nan"),
         (MINIMAL.replace("-37.8", "-89.5"), r"origin\.latitude .* got -89.5"),
         (MINIMAL.replace("144.9", "200"), r"origin\.longitude .* got 200"),
+        (MINIMAL.replace("144.9", "9" * 400), r"origin\.longitude must be a number .* got 999"),
         (MINIMAL.replace("144.9", "true"), r"origin\.longitude .* got True"),
         (MINIMAL.replace("144.9", "'144.9'"), r"origin\.longitude .* got '144.9'"),
         (MINIMAL.replace("uavs:", "uavs: []\nrest:"), "unknown key 'rest'"),

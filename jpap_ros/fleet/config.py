@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from jpap_ros.fleet.checks import MAX_MAP_M, check_choice, check_mapping, check_number, check_point
 from jpap_ros.fleet.fence import Fence
+from jpap_ros.fleet.strict_yaml import load_yaml
 
 VERSION = 1
 AUTOPILOTS = ("auto", "ardupilot", "px4")
@@ -19,9 +18,7 @@ ALTITUDE_DATUMS = ("relative", "amsl")
 LINK_KINDS = ("udpin", "udpout", "tcp", "serial")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _OWN_SYSID_RANGE = range(1, 255)
-_MAX_MAP_M = 100_000.0
 _MIN_BYTES_PER_S = 100.0
-_MERGE_TAG = "tag:yaml.org,2002:merge"
 
 
 class FleetFileError(ValueError):
@@ -230,34 +227,13 @@ def parse_fleet(text: str, source: str = "fleet file", folder: Path = Path()) ->
         See `load_fleet`.
     """
     try:
-        data = yaml.load(text, Loader=_UniqueKeyLoader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise FleetFileError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from None
-    try:
-        return _fleet(data, folder)
+        return _fleet(load_yaml(text), folder)
     except ValueError as error:
         raise FleetFileError(f"{source}: {error}") from None
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML's own rule, which PyYAML does not enforce: a key stands once in a mapping."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen = set()
-        for key_node, _ in node.value:
-            if key_node.tag == _MERGE_TAG:
-                continue
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, str):
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is not text", key_node.start_mark)
-            if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"duplicate key {key!r}", key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
 def _fleet(data: object, folder: Path) -> FleetConfig:
-    top = _mapping(
+    top = check_mapping(
         "the file",
         data,
         required=("version", "origin", "uavs"),
@@ -268,7 +244,9 @@ def _fleet(data: object, folder: Path) -> FleetConfig:
     key_file = _key_file("signing_key_file", top.get("signing_key_file"), folder)
     shared = {
         "signing_key_file": top.get("signing_key_file"),
-        **_mapping("defaults", top.get("defaults") or {}, optional=("autopilot", "altitude_datum", "max_bytes_per_s")),
+        **check_mapping(
+            "defaults", top.get("defaults") or {}, optional=("autopilot", "altitude_datum", "max_bytes_per_s")
+        ),
     }
     entries = top["uavs"]
     if not isinstance(entries, list) or not entries:
@@ -305,32 +283,34 @@ def _plain(value: object) -> object:
 
 
 def _origin(data: object) -> MapOrigin:
-    entry = _mapping("origin", data, required=("latitude", "longitude"), optional=("altitude_amsl_m",))
+    entry = check_mapping("origin", data, required=("latitude", "longitude"), optional=("altitude_amsl_m",))
     return MapOrigin(
-        _number("origin.latitude", entry["latitude"], 89.0),
-        _number("origin.longitude", entry["longitude"], 180.0),
-        _number("origin.altitude_amsl_m", entry.get("altitude_amsl_m", 0.0), 9000.0),
+        check_number("origin.latitude", entry["latitude"], 89.0),
+        check_number("origin.longitude", entry["longitude"], 180.0),
+        check_number("origin.altitude_amsl_m", entry.get("altitude_amsl_m", 0.0), 9000.0),
     )
 
 
 def _fence(data: object) -> Fence | None:
     if data is None:
         return None
-    entry = _mapping("fence", data, optional=("circle", "polygon", "min_height_m", "max_height_m"))
+    entry = check_mapping("fence", data, optional=("circle", "polygon", "min_height_m", "max_height_m"))
     if not entry:
         raise ValueError("fence must have a circle, a polygon or a height limit, got {}")
     limits: dict[str, Any] = {
-        key: _number(f"fence.{key}", entry[key], _MAX_MAP_M) for key in ("min_height_m", "max_height_m") if key in entry
+        key: check_number(f"fence.{key}", entry[key], MAX_MAP_M)
+        for key in ("min_height_m", "max_height_m")
+        if key in entry
     }
     if "circle" in entry:
-        circle = _mapping("fence.circle", entry["circle"], required=("center", "radius_m"))
-        limits["center_m"] = _point("fence.circle.center", circle["center"])
-        limits["radius_m"] = _number("fence.circle.radius_m", circle["radius_m"], _MAX_MAP_M)
+        circle = check_mapping("fence.circle", entry["circle"], required=("center", "radius_m"))
+        limits["center_m"] = check_point("fence.circle.center", circle["center"])
+        limits["radius_m"] = check_number("fence.circle.radius_m", circle["radius_m"], MAX_MAP_M)
     if "polygon" in entry:
         corners = entry["polygon"]
         if not isinstance(corners, list) or not corners:
             raise ValueError(f"fence.polygon must be a list of [east, north] in metres, got {corners!r}")
-        limits["polygon_m"] = tuple(_point(f"fence.polygon[{i}]", corner) for i, corner in enumerate(corners))
+        limits["polygon_m"] = tuple(check_point(f"fence.polygon[{i}]", corner) for i, corner in enumerate(corners))
     try:
         return Fence(**limits)
     except ValueError as error:
@@ -360,7 +340,7 @@ def _key_file(where: str, value: object, folder: Path) -> Path | None:
 
 def _uav(where: str, data: object, shared: Mapping[str, Any], folder: Path) -> UavConfig:
     optional = tuple(f.name for f in fields(UavConfig) if f.name not in ("name", "sysid", "urls"))
-    entry = {**shared, **_mapping(where, data, required=("name", "sysid", "url"), optional=optional)}
+    entry = {**shared, **check_mapping(where, data, required=("name", "sysid", "url"), optional=optional)}
     name = entry["name"]
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ValueError(f"{where}.name must be letters, digits and underscores, starting with a letter, got {name!r}")
@@ -371,9 +351,9 @@ def _uav(where: str, data: object, shared: Mapping[str, Any], folder: Path) -> U
         name,
         sysid,
         _urls(f"{where}.url", entry["url"]),
-        _choice(f"{where}.autopilot", entry.get("autopilot", "auto"), AUTOPILOTS),
-        _choice(f"{where}.altitude_datum", entry.get("altitude_datum", "relative"), ALTITUDE_DATUMS),
-        None if entry.get("home_m") is None else _point(f"{where}.home_m", entry["home_m"]),
+        check_choice(f"{where}.autopilot", entry.get("autopilot", "auto"), AUTOPILOTS),
+        check_choice(f"{where}.altitude_datum", entry.get("altitude_datum", "relative"), ALTITUDE_DATUMS),
+        None if entry.get("home_m") is None else check_point(f"{where}.home_m", entry["home_m"]),
         _byte_rate(f"{where}.max_bytes_per_s", entry.get("max_bytes_per_s")),
         _key_file(f"{where}.signing_key_file", entry.get("signing_key_file"), folder),
     )
@@ -391,45 +371,13 @@ def _urls(where: str, value: object) -> tuple[LinkUrl, ...]:
     return urls
 
 
-def _point(where: str, value: object) -> tuple[float, float]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise ValueError(f"{where} must be [east, north] in metres, got {value!r}")
-    return _number(f"{where}[0]", value[0], _MAX_MAP_M), _number(f"{where}[1]", value[1], _MAX_MAP_M)
-
-
 def _byte_rate(where: str, value: object) -> float | None:
     if value is None:
         return None
-    rate = _number(where, value, 1e9)
+    rate = check_number(where, value, 1e9)
     if rate < _MIN_BYTES_PER_S:
         raise ValueError(
             f"{where} must be at least {_MIN_BYTES_PER_S:g} (heartbeats both ways and one setpoint a second), "
             f"got {value!r}"
         )
     return rate
-
-
-def _mapping(
-    where: str, data: object, required: tuple[str, ...] = (), optional: tuple[str, ...] = ()
-) -> dict[str, Any]:
-    if not isinstance(data, dict):
-        raise ValueError(f"{where} must be a mapping, got {data!r}")
-    for key in data:
-        if key not in required + optional:
-            raise ValueError(f"{where} has the unknown key {key!r}; known are {', '.join(required + optional)}")
-    for key in required:
-        if key not in data:
-            raise ValueError(f"{where} lacks the key {key!r}")
-    return data
-
-
-def _number(where: str, value: object, limit: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or abs(value) > limit:
-        raise ValueError(f"{where} must be a number from {-limit:g} to {limit:g}, got {value!r}")
-    return float(value)
-
-
-def _choice(where: str, value: object, choices: tuple[str, ...]) -> str:
-    if value not in choices:
-        raise ValueError(f"{where} must be one of {', '.join(choices)}, got {value!r}")
-    return str(value)

@@ -6,10 +6,8 @@ import math
 
 import pymap3d
 
+from jpap_ros.fleet.checks import MAX_MAP_M
 from jpap_ros.fleet.config import MapOrigin
-
-MAX_DISTANCE_M = 100_000.0
-"""Beyond this distance from its origin a tangent plane is no map: its ground lies 800 m above the earth's."""
 
 _MAX_DROP_M = 2_000.0
 _CONVERGED_M = 1e-6
@@ -120,5 +118,5 @@ def wrap_angle(angle_rad: float) -> float:
 
 def _check_map(east_m: float, north_m: float) -> None:
     for name, value in (("east", east_m), ("north", north_m)):
-        if not abs(value) <= MAX_DISTANCE_M:
-            raise ValueError(f"{name} must be from {-MAX_DISTANCE_M:g} to {MAX_DISTANCE_M:g} m, got {value!r}")
+        if not abs(value) <= MAX_MAP_M:
+            raise ValueError(f"{name} must be from {-MAX_MAP_M:g} to {MAX_MAP_M:g} m, got {value!r}")
