@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from jpap_ros.fleet.checks import MAX_MAP_M
+
 if TYPE_CHECKING:
     from jpap_ros.sim.flight import Point
     from jpap_ros.sim.vehicle import SimVehicle
 
 _POSITION, _VELOCITY, _ACCELERATION = 0b111, 0b111000, 0b111000000
 _FORCE, _YAW = 0x200, 0x400
+
+#: Higher or lower no aircraft is asked to fly [m]; beyond it a number is taken for garbage.
+MAX_HEIGHT_M = 10_000.0
 
 AMSL_FRAMES = frozenset((mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT))
 RELATIVE_FRAMES = frozenset((mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
@@ -40,7 +45,7 @@ class Parts:
 
 def up_of_altitude(vehicle: SimVehicle, frame: int, altitude: float) -> float | None:
     """Up coordinate in the map of an altitude in a global frame [m]; None for a frame without meaning here."""
-    if not math.isfinite(altitude):
+    if not abs(altitude) <= MAX_HEIGHT_M:
         return None
     if frame in AMSL_FRAMES:
         return altitude - vehicle.frame.origin.altitude_amsl_m
@@ -53,7 +58,8 @@ def up_of_altitude(vehicle: SimVehicle, frame: int, altitude: float) -> float | 
 def local_point(vehicle: SimVehicle, message: Any) -> Point | None:
     """Map point of a SET_POSITION_TARGET_LOCAL_NED; None for a frame without meaning here."""
     body, origin = vehicle.body, vehicle.ekf_origin
-    if origin is None or not all(math.isfinite(v) for v in (message.x, message.y, message.z)):
+    near = all(abs(v) <= MAX_MAP_M for v in (message.x, message.y)) and abs(message.z) <= MAX_HEIGHT_M
+    if origin is None or not near:
         return None
     if message.coordinate_frame == mavlink.MAV_FRAME_LOCAL_NED:
         return origin[0] + message.y, origin[1] + message.x, origin[2] - message.z
