@@ -184,7 +184,8 @@ def solve(
 
 def servable_alone(rates: ArrayLike, link: LinkBudget) -> np.ndarray:
     """Whether each demand [bit/s/Hz] can be met from straight above with all the power of one UAV."""
-    possible: np.ndarray = snr_demand(rates) * link.altitude_m**2 <= link.power_eta
+    # Room for rounding, less than `allocation.ZERO_RADIUS` grants: a demand of exactly `link.max_rate` can be met.
+    possible: np.ndarray = snr_demand(rates) * link.altitude_m**2 <= link.power_eta * (1 + 5e-13)
     return possible
 
 

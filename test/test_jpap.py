@@ -1,0 +1,141 @@
+"""The JPAP scheme. Oracles: instances worked by hand from the listing and equations (1) to (11); P1's constraints."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jpap_ros.planning import LinkBudget, solve
+from jpap_ros.planning.allocation import QDPA
+from jpap_ros.planning.jpap import jpap_with
+from jpap_ros.planning.solver import Problem, validate
+
+LINK = LinkBudget()
+SCHEMES = ["jpap", "jpap_epa", "jpap_epa_common"]
+
+
+def problem(positions, rates, max_devices_per_uav: int | None = None) -> Problem:
+    return validate(positions, rates, LINK, max_devices_per_uav, None, None, 0.0, None, 0)
+
+
+def draw_devices(count: int, seed: int, low: float = 15.0, high: float = 20.0) -> tuple[np.ndarray, np.ndarray]:
+    draw = np.random.default_rng(seed)
+    side = 150.0 * math.sqrt(max(count, 1))  # the density of the paper's K = 100
+    return draw.uniform(0, side, (count, 2)), draw.uniform(low, high, count)
+
+
+def cells(deployment) -> list[list[int]]:
+    return [deployment.cell(uav).tolist() for uav in range(len(deployment.uav_positions))]
+
+
+def test_hand_worked_instance() -> None:
+    """Four devices on a line, a = 0, 60, 700, 1600, r = 17, 16, 16, 18; P_T eta = 1e10, H^2 = 2500.
+
+    w = 131071, 65535, 65535, 262143. Radii with all the power, (5): sqrt(1e10 / w - 2500) = 271.69, 387.42, 387.42,
+    188.85 m; 2 d^0 = 543.4, 774.8, 774.8, 377.7 m. Boundary devices: 3 (largest a), 0 (smallest a); all have b = 0,
+    so device 0 (lowest index) is also extreme in b. Within 2 d^0: device 0 has device 1 (60 m); device 3 has none.
+    So k_0 = 0, K_0 = {1}. Both: sum w = 196606, (11): d_sv^2 = 1e10 / 196606 - 2500 = 48363.5, d_sv = 219.9 m,
+    larger than 60 m: served. (10): P = 10 * 131071 / 196606 = 6.66668, 3.33332 W. D = 60 < 2 H: best near the middle.
+    Left: 2 and 3, 900 m apart: one UAV each, first 3 (demands most at equal density), with all the power.
+    """
+    positions, rates = [[0, 0], [60, 0], [700, 0], [1600, 0]], [17.0, 16.0, 16.0, 18.0]
+    found = solve(positions, rates)
+    assert [found.cell(uav).tolist() for uav in range(3)] == [[0, 1], [3], [2]]
+    assert found.power_w == pytest.approx([10 * 131071 / 196606, 10 * 65535 / 196606, 10, 10], rel=1e-12)
+    assert found.coverage_radius_m == pytest.approx(
+        [math.sqrt(1e10 / w - 2500) for w in (196606, 262143, 65535)], rel=1e-9
+    )
+    assert found.uav_positions == pytest.approx(np.array([[30, 0], [1600, 0], [700, 0]]), abs=0.5)
+    # (1), (3): 30 m aside, 50 m below; from straight above log2(1 + 1e10 / 2500).
+    q = 30**2 + 2500
+    both = sum(math.log2(1 + 1e9 * p / q) for p in found.power_w[:2])
+    assert found.uav_rate == pytest.approx([both, LINK.max_rate, LINK.max_rate], abs=1e-3)
+    assert found.average_uav_rate == pytest.approx((both + 2 * LINK.max_rate) / 3, abs=1e-3)
+
+
+def test_the_dense_boundary_device_goes_first() -> None:
+    # Device 0 is the one with the largest a and alone; device 3, with the smallest a, has two neighbours.
+    found = solve([[1000, 0], [-980, 10], [-980, -10], [-1000, 0]], [16.0] * 4)
+    assert found.cell(0).tolist() == [1, 2, 3]
+
+
+def test_it_stops_at_the_first_infeasible_device_unless_told_to_go_on() -> None:
+    """Devices on a line at 0, 130 and 150 m, r = 19, 20, 15; w = 524287, 1048575, 32767.
+
+    Boundary: 0 and 2, both with two neighbours in their 2 d^0 (257 m; 1100 m); 0 demands more, so k_0 = 0. Nearest
+    is 1: 1e10 / 1572862 - 2500 = 3857.9, d_sv = 62.1 m, less than half of 130 m: infeasible, and the listing stops.
+    Device 2 would do: 1e10 / 557054 - 2500 = 15451.6, d_sv = 124.3 m, more than half of 150 m. The rest, 1 and 2, are
+    20 m apart: 1e10 / 1081342 - 2500 = 6747.8, d_sv = 82.1 m: one UAV.
+    """
+    line = problem([[0, 0], [130, 0], [150, 0]], [19.0, 20.0, 15.0])
+    assert cells(jpap_with("jpap", line, QDPA)) == [[0], [1, 2]]
+    assert cells(jpap_with("jpap", line, QDPA, skip_infeasible=True)) == [[0, 2], [1]]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("limit", [1, 2, 3])
+def test_k_max_holds(scheme: str, limit: int) -> None:
+    # Ten devices within 20 m with small demands: nothing but K_max keeps them from one UAV.
+    positions = np.random.default_rng(0).uniform(0, 20, (10, 2))
+    found = solve(positions, np.full(10, 5.0), scheme, max_devices_per_uav=limit)
+    assert len(found.uav_positions) == math.ceil(10 / limit)
+    assert found.violations(positions, np.full(10, 5.0), LINK, max_devices_per_uav=limit) == []
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@settings(max_examples=20, deadline=None)
+@given(
+    count=st.integers(0, 40),
+    seed=st.integers(0, 10**6),
+    demand=st.sampled_from([(15.0, 20.0), (0.01, 0.02), (18.0, 21.5)]),
+    limit=st.sampled_from([None, 1, 3]),
+)
+def test_every_constraint_holds(scheme: str, count: int, seed: int, demand, limit: int | None) -> None:
+    positions, rates = draw_devices(count, seed, *demand)
+    found = solve(positions, rates, scheme, max_devices_per_uav=limit)
+    assert found.violations(positions, rates, LINK, max_devices_per_uav=limit) == []
+    assert not found.unserved
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10**6), quarter=st.integers(0, 3), east=st.floats(-1e4, 1e4), north=st.floats(-1e4, 1e4))
+def test_invariance_under_shifts_quarter_turns_and_order(seed: int, quarter: int, east: float, north: float) -> None:
+    """The boundary rule knows the axes: the scheme follows shifts and turns by 90 degrees, and no other turn.
+
+    Only exact ties in the number of neighbours could break a quarter turn; the larger demand decides those.
+    """
+    positions, rates = draw_devices(25, seed)
+    turn = [np.eye(2), [[0, 1], [-1, 0]], [[-1, 0], [0, -1]], [[0, -1], [1, 0]]][quarter]
+    moved = positions @ np.array(turn) + [east, north]
+    order = np.random.default_rng(seed).permutation(25)
+    here, there = solve(positions, rates), solve(moved[order], rates[order])
+    assert cells(here) == [sorted(order[cell].tolist()) for cell in cells(there)]
+    assert there.average_uav_rate == pytest.approx(here.average_uav_rate, abs=1e-3)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_scaling_power_and_noise_together_changes_nothing(scheme: str) -> None:
+    positions, rates = draw_devices(30, 5)
+    here = solve(positions, rates, scheme)
+    louder = LinkBudget(transmit_power_dbm=47.0, noise_power_dbm=-83.0)
+    there = solve(positions, rates, scheme, link=louder)
+    assert cells(here) == cells(there)
+    assert there.uav_positions == pytest.approx(here.uav_positions, abs=1e-3)
+    assert there.power_w == pytest.approx(here.power_w * 10**0.7, rel=1e-9)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_degenerate_instances(scheme: str) -> None:
+    assert len(solve([], [], scheme).uav_positions) == 0
+    one = solve([[5.0, 6.0]], [18.0], scheme)
+    assert one.uav_positions == pytest.approx(np.array([[5.0, 6.0]]))
+    assert one.power_w == pytest.approx([10.0])
+    # All on one point: w = 2^16 - 1, P_T eta / H^2 = 4e6: 61 fit (61 * 65535 <= 4e6), 62 do not.
+    stacked = solve(np.zeros((62, 2)), np.full(62, 16.0), scheme)
+    assert sorted(len(cell) for cell in cells(stacked)) == [1, 61]
+    line = np.column_stack([np.linspace(0, 900, 12), np.linspace(0, 300, 12)])
+    assert solve(line, np.full(12, 17.0), scheme).violations(line, np.full(12, 17.0), LINK) == []
