@@ -47,6 +47,9 @@ class Deployment:
         Key of SCHEMES.
     runtime_s : float
         Time that the scheme took [s].
+    average_uav_rate_bound : float or None
+        Proven upper bound on the average UAV rate of any deployment of N UAVs that serves the same devices
+        [bit/s/Hz].
     """
 
     uav_positions: Floats
@@ -61,6 +64,7 @@ class Deployment:
     unserved: Mapping[int, str]
     scheme: str
     runtime_s: float
+    average_uav_rate_bound: float | None = None
 
     def __post_init__(self) -> None:
         def frozen(array: ArrayLike, dtype: type, shape: tuple[int, ...]) -> NDArray[np.generic]:
@@ -138,6 +142,7 @@ def make_deployment(
     min_uavs_bound: int | None = None,
     proven_optimal: bool = False,
     runtime_s: float = 0.0,
+    average_uav_rate_bound: float | None = None,
 ) -> Deployment:
     """Make a deployment from cells (index arrays), UAV positions (N, 2) [m] and device powers (K,) [W].
 
@@ -166,4 +171,5 @@ def make_deployment(
         unserved=unserved,
         scheme=scheme,
         runtime_s=runtime_s,
+        average_uav_rate_bound=average_uav_rate_bound,
     )

@@ -168,18 +168,26 @@ def solve(
     )
     impossible = np.flatnonzero(~servable_alone(problem.rates, link))
     if not len(impossible):
-        return replace(SCHEMES[scheme](problem), runtime_s=time.monotonic() - started)
+        return replace(_within_limits(SCHEMES[scheme], problem), runtime_s=time.monotonic() - started)
     keep = np.flatnonzero(servable_alone(problem.rates, link))
     reduced = replace(
         problem, positions=problem.positions[keep], rates=problem.rates[keep], weights=problem.weights[keep]
     )
-    part = SCHEMES[scheme](reduced)
+    part = _within_limits(SCHEMES[scheme], reduced)
     reasons = {
         int(k): f"demands {problem.rates[k]:.6g} bit/s/Hz; the most that one UAV can give, from straight above"
         f" with all its power, is {link.max_rate:.6g}"
         for k in impossible
     }
     return _embed(part, keep, len(problem.rates), reasons, time.monotonic() - started)
+
+
+def _within_limits(scheme: Scheme, problem: Problem) -> Deployment:
+    """Run a scheme, and see to the limits of the real fleet that it knows nothing of."""
+    from jpap_ros.planning.limits import limit_fleet
+    from jpap_ros.planning.separation import keep_apart
+
+    return keep_apart(problem, limit_fleet(problem, scheme(problem)))
 
 
 def servable_alone(rates: ArrayLike, link: LinkBudget) -> np.ndarray:

@@ -45,15 +45,30 @@ class Hover:
     bound: Floats
 
 
-def best_positions(servability: Servability, members: list[Ints], sets: Sets, power_eta: float) -> Hover:
-    """The position of each servable set that maximises its water-filled rate, within RATE_TOLERANCE."""
+def best_positions(
+    servability: Servability, members: list[Ints], sets: Sets, power_eta: float, rounds: int = _MOST_ROUNDS
+) -> Hover:
+    """The position of each servable set that maximises its water-filled rate.
+
+    Parameters
+    ----------
+    members : list of int arrays
+        The sets.
+    sets : Sets
+        Their measures.
+    power_eta : float
+        P_T eta [m^2].
+    rounds : int
+        Most halvings of the squares; the default ends with every bound within RATE_TOLERANCE of the rate, fewer
+        give a quick estimate with its bound.
+    """
     count = len(members)
     hover = Hover(np.empty((count, 2)), np.empty(count), np.empty(count))
     sizes = np.array([len(m) for m in members], dtype=np.int64)
     for size in np.unique(sizes):
         which = np.flatnonzero(sizes == size)
         search = _Search(servability, np.array([members[i] for i in which]), sets[which], power_eta)
-        search.run()
+        search.run(rounds)
         hover.position[which], hover.rate[which], hover.bound[which] = search.position, search.rate, search.bound
     return hover
 
@@ -88,9 +103,9 @@ class _Search:
         self.servability, self.members, self.sets, self.power_eta = servability, members, sets, power_eta
         self.position = sets.centroid.copy()
         self.rate = share_power(servability, members, self.position, power_eta)[1].sum(axis=1)
-        self.bound = self.rate.copy()
+        self.bound = np.full(len(members), math.inf)
 
-    def run(self) -> None:
+    def run(self, rounds: int) -> None:
         # A point outside the hull of its devices can be moved nearer to all of them.
         u = self.servability.positions[self.members]
         reach = self.sets.slack_radius[:, None]
@@ -98,19 +113,21 @@ class _Search:
         high = np.minimum(u.max(axis=1), self.sets.centroid + reach)
         owner = np.arange(len(self.members))
         centre, half = (low + high) / 2, (high - low).max(axis=1) / 2
-        for _ in range(_MOST_ROUNDS):
-            bound = self._examine(owner, centre, half)
+        bound = np.full(len(owner), math.inf)
+        for _ in range(rounds):
+            bound = np.minimum(bound, self._examine(owner, centre, half))
             alive = bound > self.rate[owner] + RATE_TOLERANCE
+            self.bound = self.rate + RATE_TOLERANCE
+            np.maximum.at(self.bound, owner[alive], bound[alive])
             if not alive.any():
                 break
             owner, centre, half = owner[alive], centre[alive], half[alive] / 2
-            owner, half = np.repeat(owner, 4), np.repeat(half, 4)
+            owner, half, bound = np.repeat(owner, 4), np.repeat(half, 4), np.repeat(bound[alive], 4)
             quarters = np.tile([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]], (len(centre), 1))
             centre = np.repeat(centre, 4, axis=0) + quarters * half[:, None]
             outside = np.maximum(np.abs(centre - self.sets.centroid[owner]) - half[:, None], 0)
             reached = (outside**2).sum(axis=1) <= self.sets.slack_radius[owner] ** 2 * (1 + 1e-9)
-            owner, centre, half = owner[reached], centre[reached], half[reached]
-        self.bound = self.rate + RATE_TOLERANCE
+            owner, centre, half, bound = owner[reached], centre[reached], half[reached], bound[reached]
 
     def _examine(self, owner: Ints, centre: Floats, half: Floats) -> Floats:
         """Try positions in each square, keep the best of each set, and return the bound of each square."""

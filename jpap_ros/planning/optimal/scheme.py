@@ -3,54 +3,237 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from jpap_ros.planning.deployment import Deployment, make_deployment
+from jpap_ros.planning.jpap import jpap
+from jpap_ros.planning.limits import explain, limit_fleet
 from jpap_ros.planning.link_budget import Floats
-from jpap_ros.planning.optimal.enumeration import all_sets
-from jpap_ros.planning.optimal.milp import incidence, minimise
+from jpap_ros.planning.optimal.enumeration import TooManySets, all_sets, maximal_sets
+from jpap_ros.planning.optimal.fleet import Fleet, first_cells, smallest_fleet
+from jpap_ros.planning.optimal.partition import Partition, RateProgram
 from jpap_ros.planning.optimal.position import best_positions, share_power
+from jpap_ros.planning.optimal.rate_search import improve_rate
 from jpap_ros.planning.optimal.servability import Ints, Servability
+from jpap_ros.planning.optimal.service import serve_most
+from jpap_ros.planning.separation import keep_apart, never_apart, spread
 from jpap_ros.planning.solver import Problem
+
+#: Time that the scheme takes at most where the caller sets no limit [s].
+DEFAULT_TIME_S = 30.0
+#: Share of the time that the proof of the smallest fleet may take; the rate gets the rest.
+_FLEET_SHARE = 0.6
+#: Kept back from the time limit for the last steps, which cannot be interrupted.
+_RESERVE = 0.05
+#: Most servable sets with which the rate is solved as one program.
+_MOST_RATE_SETS = 20_000
+_MOST_MAXIMAL_SETS = 300_000
+_MOST_CUTS = 60
 
 
 def optimal(problem: Problem) -> Deployment:
-    """Solve P1: the fewest UAVs, then the partition, positions and powers of the largest average rate."""
+    """Solve P1: the fewest UAVs, then the partition, positions and powers of the largest average rate.
+
+    Returns the best deployment found by `problem.deadline`, or in DEFAULT_TIME_S where there is none, with its
+    bounds; earlier where nothing is left to prove.
+    """
+    *_, best = improve(problem)
+    return best
+
+
+def improve(problem: Problem) -> Iterator[Deployment]:
+    """Yield ever better deployments, the first one as good as `jpap` at once, until proven or the deadline.
+
+    Each has fewer UAVs, a better bound or a larger average rate than the one before; the last is the best.
+    """
     count = len(problem.rates)
-    if count == 0:
-        return _deploy(problem, [], np.empty((0, 2)), 0)
-    servability = Servability.of(problem)
-    members, sets = all_sets(servability)
-    hover = best_positions(servability, members, sets, problem.link.power_eta)
-    matrix = incidence(members, count)
-    ones = np.ones(count)
-    fewest = minimise(np.ones(len(members)), matrix, ones, np.full(count, np.inf), integer=True)
-    uavs = math.ceil(fewest.bound - 1e-6)
-    with_count = sparse.csc_array(sparse.vstack([matrix, np.ones((1, len(members)))]))
-    sides = np.append(ones, uavs)
-    best = minimise(-hover.rate, with_count, sides, sides, integer=True, deadline=problem.deadline)
-    assert best.x is not None
-    chosen = np.flatnonzero(best.x > 0.5)
-    return _deploy(problem, [members[i] for i in chosen], hover.position[chosen], uavs)
+    if count == 0 or problem.max_uavs == 0:
+        yield limit_fleet(problem, _nothing(problem) if count == 0 else _jpap(problem))
+        return
+    began = time.monotonic()
+    deadline = min(problem.deadline, began + DEFAULT_TIME_S)
+    deadline -= _RESERVE * max(deadline - began, 0)
+    solver = _Solver(problem, deadline)
+    paper = _jpap(problem)
+    start = [paper.cell(uav) for uav in range(len(paper.uav_positions))]
+    quick = first_cells(solver.servability)
+    yield from solver.run(start, quick if len(quick) < len(start) else start)
 
 
-def _deploy(problem: Problem, cells: list[Ints], centres: Floats, bound: int) -> Deployment:
-    servability = Servability.of(problem)
-    power = np.zeros(len(problem.rates))
-    for cell, centre in zip(cells, centres, strict=True):
-        shares, _ = share_power(servability, cell[None], centre[None], problem.link.power_eta)
-        power[cell] = shares[0] * problem.link.transmit_power_w
+def _jpap(problem: Problem) -> Deployment:
+    return jpap(replace(problem, max_uavs=None, min_separation_m=0.0))
+
+
+def _nothing(problem: Problem) -> Deployment:
     return make_deployment(
-        "optimal",
-        problem.positions,
-        problem.rates,
-        problem.link,
-        cells,
-        centres,
-        power,
-        unserved={},
-        min_uavs_bound=bound,
-        proven_optimal=len(cells) == bound,
-    )
+        "optimal", problem.positions, problem.rates, problem.link, [], np.empty((0, 2)), np.empty(0),
+        unserved={}, min_uavs_bound=0, proven_optimal=True,
+    )  # fmt: skip
+
+
+@dataclass
+class _Solver:
+    problem: Problem
+    deadline: float
+
+    def __post_init__(self) -> None:
+        self.servability = Servability.of(self.problem)
+        self.power_eta = self.problem.link.power_eta
+
+    def run(self, paper: list[Ints], start: list[Ints]) -> Iterator[Deployment]:
+        began = time.monotonic()
+        prove_until = began + _FLEET_SHARE * (self.deadline - began)
+        best: Deployment | None = None
+        fleet = Fleet(start, 1)
+        for better in smallest_fleet(self.servability, start, prove_until, self.problem.seed):
+            fleet = better
+            best = self._deploy(fleet, self._hover(fleet.cells))
+            yield best
+        fleet, limited = self._fit(fleet)
+        cells = fleet.cells
+        if not limited and len(paper) == len(cells):
+            cells = max(cells, paper, key=lambda some: self._hover(some).total_rate)
+        partition = self._largest_rate(cells, limited)
+        if self.problem.min_separation_m > 0 and not limited:
+            fleet, partition = self._apart(fleet, partition)
+        if limited:
+            yield self._deploy_limited(fleet, partition)
+        else:
+            yield self._deploy(fleet, partition)
+
+    def _fit(self, fleet: Fleet) -> tuple[Fleet, bool]:
+        """The cells to fly, and whether they leave devices out because the fleet is too small."""
+        limit = self.problem.max_uavs
+        if limit is None or len(fleet.cells) <= limit:
+            return fleet, False
+        until = time.monotonic() + 0.5 * (self.deadline - time.monotonic())
+        try:
+            members, _ = maximal_sets(self.servability, _MOST_MAXIMAL_SETS, until)
+        except TooManySets:
+            members = fleet.cells
+        chosen, _ = serve_most(members, self.problem.weights, self.problem.rates, limit, until)
+        if chosen is None:
+            chosen, _ = serve_most(fleet.cells, self.problem.weights, self.problem.rates, limit, math.inf)
+            assert chosen is not None
+        self.uavs_needed = len(fleet.cells)
+        return Fleet(chosen, fleet.bound), True
+
+    def _hover(self, cells: list[Ints]) -> Partition:
+        """The cells as they are, each from its best position."""
+        hover = best_positions(self.servability, cells, self.servability.measure_all(cells), self.power_eta)
+        return Partition(cells, hover.position, hover.rate, math.inf, math.inf)
+
+    def _largest_rate(self, cells: list[Ints], limited: bool) -> Partition:
+        """Re-partition the devices of these cells into as many cells of the largest rate."""
+        devices = np.concatenate(cells)
+        part = self.servability.subset(devices)
+        number = np.full(len(self.servability), -1)
+        number[devices] = np.arange(len(devices))
+        local = [number[cell] for cell in cells]
+        try:
+            until = time.monotonic() + 0.3 * (self.deadline - time.monotonic())
+            members, sets = all_sets(part, _MOST_RATE_SETS, until)
+        except TooManySets:
+            found = self._search_rate(part, local)
+        else:
+            best = RateProgram(part, members, sets, self.power_eta).solve(len(local), local, self.deadline)
+            assert best is not None
+            found = best
+        bound = min(found.bound, _simple_rate_bound(len(devices), len(cells), self.problem))
+        return replace(found, cells=[devices[cell] for cell in found.cells], bound=bound)
+
+    def _search_rate(self, part: Servability, cells: list[Ints]) -> Partition:
+        hover = best_positions(part, cells, part.measure_all(cells), self.power_eta)
+        better = improve_rate(part, cells, hover, self.power_eta, self.deadline, self.problem.seed)
+        final = best_positions(part, better[0], part.measure_all(better[0]), self.power_eta)
+        return Partition(better[0], final.position, final.rate, math.inf, math.inf)
+
+    def _apart(self, fleet: Fleet, partition: Partition) -> tuple[Fleet, Partition]:
+        """Cells whose UAVs can hover apart, at the least cost in UAVs where all servable sets are known."""
+        separation = self.problem.min_separation_m
+        positions = self._spread(partition)
+        if positions is not None:
+            return fleet, replace(partition, positions=positions)
+        try:
+            members, sets = all_sets(self.servability, _MOST_RATE_SETS, self.deadline)
+        except TooManySets:
+            return fleet, partition
+        program = RateProgram(self.servability, members, sets, self.power_eta)
+        pairs: list[tuple[Ints, Ints]] = []
+        bound, uavs, current = fleet.bound, len(fleet.cells), partition
+        proven = fleet.proven
+        most = len(self.servability) if self.problem.max_uavs is None else self.problem.max_uavs
+        for _ in range(_MOST_CUTS):
+            new = self._new_conflicts(current, separation)
+            if not new:
+                proven = False  # pairwise possible, together not found: another count is tried, but not as proof
+                uavs += 1
+            pairs += new
+            while uavs <= most and time.monotonic() < self.deadline:
+                found = program.solve(uavs, None, self.deadline, pairs)
+                if found is not None:
+                    break
+                # No partition into so many cells keeps apart what must be: the least fleet is larger.
+                proven = proven and time.monotonic() < self.deadline
+                uavs += 1
+            else:
+                break
+            bound = max(bound, uavs) if proven else bound
+            current = found
+            positions = self._spread(found)
+            if positions is not None:
+                return Fleet(found.cells, bound), replace(found, positions=positions)
+        return fleet, partition
+
+    def _spread(self, partition: Partition) -> Floats | None:
+        sets = self.servability.measure_all(partition.cells)
+        positions = spread(partition.positions, sets, self.problem.min_separation_m, self.problem.seed)
+        gaps = np.hypot(*(positions[:, None] - positions[None]).transpose(2, 0, 1))
+        gaps[np.diag_indices(len(gaps))] = np.inf
+        return positions if gaps.min(initial=np.inf) >= self.problem.min_separation_m else None
+
+    def _new_conflicts(self, partition: Partition, separation: float) -> list[tuple[Ints, Ints]]:
+        sets = self.servability.measure_all(partition.cells)
+        return [
+            (partition.cells[i], partition.cells[j])
+            for i in range(len(partition.cells))
+            for j in range(i)
+            if never_apart(sets, i, j, separation)
+        ]
+
+    def _deploy_limited(self, fleet: Fleet, partition: Partition) -> Deployment:
+        whole = Fleet([np.empty(0, np.int64)] * self.uavs_needed, fleet.bound)
+        made = self._deploy(whole, partition)
+        left_out = np.flatnonzero(made.serving_uav < 0)
+        return replace(made, unserved=explain(self.problem, partition.cells, left_out, self.uavs_needed))
+
+    def _deploy(self, fleet: Fleet, partition: Partition) -> Deployment:
+        problem = self.problem
+        power = np.zeros(len(problem.rates))
+        for cell, position in zip(partition.cells, partition.positions, strict=True):
+            shares, _ = share_power(self.servability, cell[None], position[None], self.power_eta)
+            power[cell] = shares[0] * problem.link.transmit_power_w
+        made = make_deployment(
+            "optimal",
+            problem.positions,
+            problem.rates,
+            problem.link,
+            partition.cells,
+            partition.positions,
+            power,
+            unserved={},
+            uavs_needed=len(fleet.cells),
+            min_uavs_bound=fleet.bound,
+            proven_optimal=fleet.proven,
+            average_uav_rate_bound=(partition.bound / len(partition.cells) if math.isfinite(partition.bound) else None),
+        )
+        return keep_apart(problem, limit_fleet(problem, made))
+
+
+def _simple_rate_bound(devices: int, uavs: int, problem: Problem) -> float:
+    """Total rate of all devices at no distance and equal powers; by concavity no split of them gives more."""
+    return devices * math.log2(1 + problem.link.power_eta * uavs / (devices * problem.link.altitude_m**2))

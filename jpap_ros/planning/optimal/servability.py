@@ -10,6 +10,7 @@ within the disc of radius sqrt((1 - f(S, c)) / sum a) around c.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +81,10 @@ class Servability:
         link = problem.link
         return cls(problem.positions, problem.snr_demand / link.power_eta, link.altitude_m**2, problem.cell_limit)
 
+    def subset(self, devices: Ints) -> Servability:
+        """The servability of some of the devices, numbered in the order given."""
+        return Servability(self.positions[devices], self.demand[devices], self.height2, self.cell_limit)
+
     def __len__(self) -> int:
         return len(self.demand)
 
@@ -111,6 +116,15 @@ class Servability:
         centre = (a[:, None] * u).sum(axis=0) / weight
         load = (a * (((u - centre) ** 2).sum(axis=1) + self.height2)).sum()
         return Sets(np.array([weight]), centre[None], np.array([load]))
+
+    def measure_all(self, cells: Sequence[ArrayLike]) -> Sets:
+        """Each of several sets of devices."""
+        parts = [self.measure(cell) for cell in cells]
+        return Sets(
+            np.array([part.weight[0] for part in parts]),
+            np.array([part.centroid[0] for part in parts]).reshape(-1, 2),
+            np.array([part.load[0] for part in parts]),
+        )
 
     def servable(self, members: ArrayLike) -> bool:
         """Whether one UAV can serve this set."""
