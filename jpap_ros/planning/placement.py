@@ -31,8 +31,8 @@ from jpap_ros.planning.link_budget import Floats, LinkBudget, snr_demand
 
 #: The position found gives at most this much less than the best one [bit/s/Hz].
 RATE_TOLERANCE = 9e-4
-#: A climb ends when a step is shorter than this part of the altitude.
-STEP_TOLERANCE = 1e-7
+#: A climb ends when a step is shorter than this part of the altitude: a local optimum to far below RATE_TOLERANCE.
+STEP_TOLERANCE = 2e-7
 #: Most steps of one climb. It only costs time where a climb ends early: the branch and bound still decides.
 MAX_STEPS = 60
 #: Side of a box, in parts of the altitude, below which the rate hardly varies within it.
@@ -155,8 +155,12 @@ class _Cell:
                 product = 1.0
         return total + math.log(product)
 
-    def climb(self, x: float, y: float) -> tuple[float, float]:
-        """The local optimum reached from (x, y)."""
+    def climb(self, x: float, y: float) -> tuple[float, float, float]:
+        """The local optimum reached from (x, y), and a radius round it in which the rate is concave.
+
+        A local optimum of a concave function over a convex region is its optimum there: within that radius no
+        feasible position is better. 0 where the climb ended early or the rate is not concave at its end.
+        """
         height2 = self.height2
         for _ in range(MAX_STEPS):
             weight = wx = wy = hxx = hxy = hyy = 0.0
@@ -185,13 +189,34 @@ class _Cell:
             step2 = (tx - x) ** 2 + (ty - y) ** 2
             x, y = tx, ty
             if step2 <= self.step2:
-                break
-        return x, y
+                mean, half = weight - (hxx + hyy) / 2, (hxx - hyy) / 2
+                return x, y, self.concave_radius(x, y, 2 * (mean - math.sqrt(half * half + hxy * hxy)))
+        return x, y, 0.0
 
-    def improve(self, x: float, y: float) -> tuple[float, float]:
+    def concave_radius(self, x: float, y: float, curvature: float) -> float:
+        """A radius round (x, y) in which the rate is concave, where its Hessian is at most -curvature at (x, y).
+
+        The third derivative of log(|v - u|^2 + h^2) in any direction is at most 4 / (|v - u|^2 + h^2)^1.5; the largest
+        eigenvalue of the Hessian grows by no more than the sum of these with the distance.
+        """
+        height2 = self.height2
+        radius = math.sqrt(height2)
+        for _attempt in range(6):
+            growth = 0.0
+            for u, v, c, _ in self.devices:
+                apart = math.sqrt((x - u) ** 2 + (y - v) ** 2) - radius
+                q = apart * apart + height2 if apart > 0 else height2
+                growth += 4 / (q * math.sqrt(q)) + 4 / ((q + c) * math.sqrt(q + c))
+            if radius * growth <= 0.999 * curvature:
+                return radius
+            radius *= 0.7
+        return 0.0
+
+    def improve(self, x: float, y: float, radius: float) -> tuple[float, float]:
         """Branch and bound: a position to which none is better by more than the tolerance."""
         tolerance = RATE_TOLERANCE * math.log(2)
         target = self.value(x, y) + tolerance
+        cx, cy, settled2 = x, y, radius * radius
         roots = [math.sqrt(r2) for r2 in self.squared_radii]
         west = max(min(self.xs), max(u - r for u, r in zip(self.xs, roots, strict=True)))
         east = min(max(self.xs), min(u + r for u, r in zip(self.xs, roots, strict=True)))
@@ -201,6 +226,10 @@ class _Cell:
         fresh = [(west, east, south, north)]
         while True:
             for box in fresh:
+                west, east, south, north = box
+                dx, dy = max(cx - west, east - cx), max(cy - south, north - cy)
+                if dx * dx + dy * dy <= settled2:
+                    continue
                 bound, px, py = self.bound(*box, target)
                 if bound > target:
                     heapq.heappush(boxes, (-bound, px, py, *box))
@@ -216,7 +245,7 @@ class _Cell:
                 px, py = self.nearest(px, py)
                 found = self.value(px, py)
                 if found > target:
-                    x, y = self.climb(px, py)
+                    x, y, _ = self.climb(px, py)
                     value = self.value(x, y)
                     if value < found:  # Newton's steps may lead astray.
                         x, y, value = px, py, found
@@ -234,6 +263,7 @@ class _Cell:
         The bound is made no tighter than `target`.
         """
         height2 = self.height2
+        log = math.log
         top = weight = wx = wy = ww = 0.0
         for u, v, c, r2 in self.devices:
             dw, de, ds, dn = west - u, u - east, south - v, v - north
@@ -247,10 +277,10 @@ class _Cell:
             high = dx * dx + dy * dy
             if high > r2:
                 high = r2
-            rate = math.log1p(c / (low + height2))
             q = low + height2
+            rate = log(1 + c / q)
             if high - low > 1e-6 * q:
-                slope = (rate - math.log1p(c / (high + height2))) / (high - low)
+                slope = (rate - log(1 + c / (high + height2))) / (high - low)
             else:
                 slope = c / (q * (q + c))
             top += rate + slope * low
