@@ -78,6 +78,10 @@ class Planner:
             self.connect()
         self._devices.publish(report(devices, departed, snapshot, frame))
 
+    def silence(self):
+        """Take the reporter of devices out of the graph, with all that it has said."""
+        self.graph.node.destroy_publisher(self._devices)
+
     def plan(self, reason, timeout_s=60.0):
         """Wait for the deployment whose reason has these words."""
         return self.graph.wait(
@@ -530,6 +534,45 @@ def test_it_ends_cleanly_when_told_to(planner, how):
     node.plan("5 devices joined")
     assert node.process.stop(how) == 0
     assert "Traceback" not in node.process.output
+
+
+def test_after_a_kill_it_goes_on_from_its_state_file_and_moves_nobody(planner, tmp_path):
+    state = str(tmp_path / "state.json")
+    first = planner(state_file=state)
+    first.send(GROUPS)
+    first.plan("5 devices joined")
+    first.send({"a3": (20.0, 30.0, 15.0)})
+    before = first.plan("1 device joined")
+    first.process.stop(signal.SIGKILL)
+    # The devices' own reports are gone with the reporter: only the file remembers them.
+    first.silence()
+
+    second = planner(state_file=state)
+    after = second.plan("planner restarted, going on from plan 2")
+    assert after.plan_id == 3 and after.cells == before.cells
+    second.send({"c2": (10.0, 820.0, 15.0)})
+    grown = second.plan("1 device joined")
+    assert_demands_met(grown, {**GROUPS, "a3": (20.0, 30.0, 15.0), "c2": (10.0, 820.0, 15.0)})
+    assert [cell for cell in grown.cells if "c2" not in cell.device_ids] == [
+        cell for cell in before.cells if "c1" not in cell.device_ids
+    ]
+
+
+def test_a_damaged_state_file_is_named_and_planning_starts_afresh(planner, tmp_path):
+    (tmp_path / "state.json").write_text("{")
+    node = planner(state_file=str(tmp_path / "state.json"))
+    node.send(GROUPS)
+    assert node.plan("5 devices joined").plan_id == 1
+    node.said("starting afresh", "state.json")
+
+
+def test_plan_ids_count_on_from_those_that_aircraft_still_follow(planner, graph):
+    node = planner()
+    state = graph.publisher(VehicleState, "uav2/state", LATCHED)
+    state.publish(VehicleState(uav="uav2", link=VehicleState.LINK_CONNECTED, goal_plan_id=41))
+    node.said("uav2 is heard")
+    node.send(GROUPS)
+    assert node.plan("5 devices joined").plan_id == 42
 
 
 def test_a_wrong_fleet_file_stops_it_with_one_line(start_node, tmp_path):

@@ -122,7 +122,7 @@ def plan_change(
     available = [craft for craft in aircraft if craft.available]
     demands, limits = settings.demands(devices), settings.limits(len(available))
     change = replan(present.live, demands, limits, _lost_cells(present, available, demands))
-    return _named(change.plan, settings, available, present, interrupted=change.interrupted)
+    return named_plan(change.plan, settings, available, present.names, interrupted=change.interrupted)
 
 
 def plan_from_scratch(
@@ -146,7 +146,8 @@ def plan_from_scratch(
         # The quick scheme's cells, with the power rule of the scheme that was asked for; no more than there are UAVs.
         live = replan(live, demands, limits).plan
     interrupted = compare(present.live, live, limits).interrupted if present is not None else {}
-    return _named(live, settings, available, present, full=None if slow else full, interrupted=interrupted)
+    holders = present.names if present is not None else {}
+    return named_plan(live, settings, available, holders, full=None if slow else full, interrupted=interrupted)
 
 
 def weigh(
@@ -177,7 +178,7 @@ def weigh(
     decision = consider(full, present.live, demands, limits, policy)
     if decision.adopt:
         change = decision.change
-        plan = _named(change.plan, settings, available, present, full=full, interrupted=change.interrupted)
+        plan = named_plan(change.plan, settings, available, present.names, full=full, interrupted=change.interrupted)
         return Weighed(plan, True, decision.reason)
     bound = full.min_uavs_bound
     plan = replace(present, min_uavs_bound=bound, proven_optimal=bound is not None and bound == present.uavs_needed)
@@ -199,15 +200,29 @@ def _lost_cells(present: FleetPlan, available: Sequence[Aircraft], demands: Dema
     return [cell.id for cell in orphans[max(len(available) - len(held), 0) :]]
 
 
-def _named(
+def named_plan(
     live: LivePlan,
     settings: PlanSettings,
     available: Sequence[Aircraft],
-    present: FleetPlan | None,
+    holders: Mapping[int, str],
     full: Deployment | None = None,
     interrupted: Mapping[str, str] | None = None,
 ) -> FleetPlan:
-    """Give the cells of a plan aircraft; `full` is the plan from scratch that it is, if it is one."""
+    """Give the cells of a plan aircraft.
+
+    Parameters
+    ----------
+    live : LivePlan
+    settings : PlanSettings
+        With which it was made.
+    available : sequence of Aircraft
+    holders : mapping of int to str
+        Aircraft that cells have already, by the cell's id.
+    full : Deployment, optional
+        The plan from scratch that this is, if it is one.
+    interrupted : mapping of str to str, optional
+        See FleetPlan.
+    """
     deployment = live.deployment(settings.limits(len(available)))
     radii = deployment.coverage_radius_m
     index = live.demands.index
@@ -224,7 +239,7 @@ def _named(
         for k, cell in enumerate(live.cells)
     ]
     return FleetPlan(
-        cells=name_cells(cells, available, present.names if present is not None else {}),
+        cells=name_cells(cells, available, holders),
         live=live,
         unserved=live.unserved,
         uavs_needed=live.uavs_needed,

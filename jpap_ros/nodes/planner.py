@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -25,6 +26,7 @@ from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.fleet.events import Events
 from jpap_ros.fleet.plan import SLOW_SCHEMES, PlanSettings, Weighed
+from jpap_ros.fleet.plan_store import PlanStoreError, load_plan, save_plan
 from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.nodes import planner_conversions as conversions
@@ -96,6 +98,7 @@ class PlannerNode(ManagedNode):
         self._powers_out = {
             name: self._publisher(PowerAllocation, f"{name}/power_allocation") for name in self._fleet.names
         }
+        self._restore()
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._made.callback(self.destroy_publisher, self._diagnostics_out)
         self._subscribe(DeviceUpdate, "devices", self._on_devices, DEVICES)
@@ -116,6 +119,31 @@ class PlannerNode(ManagedNode):
         self._answer = self.create_guard_condition(self._on_solved)
         self._made.callback(self.destroy_guard_condition, self._result)
         self._made.callback(self.destroy_guard_condition, self._answer)
+
+    def _restore(self) -> None:
+        """Go on with the plan that a planner before this one has left."""
+        if not self._settings["state_file"]:
+            return
+        try:
+            stored = load_plan(Path(self._settings["state_file"]), self._fleet.origin)
+        except PlanStoreError as error:
+            self.get_logger().warning(f"starting afresh: {error}")
+            return
+        if stored is None:
+            return
+        self._table.apply(stored.devices, now_s=time.monotonic())
+        self._health.plan_id, self._planned_with = stored.plan_id, stored.settings
+        self._health.plan = stored.plan(self._all_aircraft())
+        self._events.add(f"planner restarted, going on from plan {stored.plan_id}")
+
+    def _store(self, devices: Sequence[Device], settings: PlanSettings, plan: FleetPlan) -> None:
+        if not self._settings["state_file"]:
+            return
+        path = Path(self._settings["state_file"])
+        try:
+            save_plan(path, self._fleet.origin, self._health.plan_id, devices, settings, plan)
+        except PlanStoreError as error:
+            self.get_logger().error(str(error), throttle_duration_sec=60.0)
 
     def activate(self) -> None:
         """Plan for what is known already."""
@@ -318,6 +346,7 @@ class PlannerNode(ManagedNode):
         before, self._planned_with = self._health.plan, job.settings
         self._publish(plan, str(job.events), job.settings.link.altitude_m, job.started_s)
         self._health.latency_s = time.monotonic() - job.first_event_s
+        self._store(job.devices, job.settings, plan)
         self._warn_unserved(job.devices, plan, before)
         if plan.from_scratch or job.weighs:
             self._weighed = job.request
@@ -380,6 +409,7 @@ class PlannerNode(ManagedNode):
         if result.adopted or news:
             reason = f"plan from scratch: {result.reason}" if result.adopted else "bound proven, the same plan"
             self._publish(result.plan, reason, job.request.settings.link.altitude_m, job.started_s)
+            self._store(job.request.devices, job.request.settings, result.plan)
             self._warn_unserved(job.request.devices, result.plan, job.present)
         else:
             self.get_logger().debug(f"plan from scratch not flown: {result.reason}")

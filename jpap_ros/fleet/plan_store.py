@@ -1,0 +1,141 @@
+"""The plan in force in a file, so that a planner that was killed goes on where it was."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from jpap_ros.fleet.cells import Aircraft, FleetPlan
+from jpap_ros.fleet.config import MapOrigin
+from jpap_ros.fleet.plan import PlanSettings, named_plan
+from jpap_ros.planning import LinkBudget
+from jpap_ros.planning.devices import Device, DeviceTable
+from jpap_ros.planning.replanning_state import LiveCell, LivePlan
+
+VERSION = 1
+
+
+class PlanStoreError(ValueError):
+    """The file cannot be used; the message names it and says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredPlan:
+    """What a planner has to know to go on.
+
+    Attributes
+    ----------
+    plan_id : int
+    devices : tuple of Device
+        Those that the plan was made for.
+    settings : PlanSettings
+        With which it was made.
+    live : LivePlan
+    names : mapping of int to str
+        Aircraft of each cell.
+    """
+
+    plan_id: int
+    devices: tuple[Device, ...]
+    settings: PlanSettings
+    live: LivePlan
+    names: Mapping[int, str]
+
+    def plan(self, aircraft: Sequence[Aircraft]) -> FleetPlan:
+        """Return the plan for a fleet; a cell whose aircraft is not in it any more has none."""
+        known = {craft.name for craft in aircraft}
+        holders = {cell: name for cell, name in self.names.items() if name in known}
+        held = [craft for craft in aircraft if craft.name in holders.values()]
+        return named_plan(self.live, self.settings, held, holders)
+
+
+def save_plan(
+    path: Path, origin: MapOrigin, plan_id: int, devices: Sequence[Device], settings: PlanSettings, plan: FleetPlan
+) -> None:
+    """Replace the file at once, so that a kill at any moment leaves the old one or the new one.
+
+    Raises
+    ------
+    PlanStoreError
+        If the file cannot be written.
+    """
+    content = {
+        "version": VERSION,
+        "origin": asdict(origin),
+        "plan_id": plan_id,
+        "settings": asdict(settings),
+        "devices": [asdict(device) for device in devices],
+        "cells": [asdict(cell) for cell in plan.live.cells],
+        "names": {str(cell): name for cell, name in plan.names.items()},
+        "unserved": dict(plan.unserved),
+        "next_id": plan.live.next_id,
+        "uavs_needed": plan.uavs_needed,
+    }
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft.write_text(json.dumps(content))
+        draft.replace(path)
+    except OSError as error:
+        raise PlanStoreError(f"{path}: cannot be written: {error}") from None
+
+
+def load_plan(path: Path, origin: MapOrigin) -> StoredPlan | None:
+    """Read the file; None if there is none.
+
+    Parameters
+    ----------
+    path : Path
+    origin : MapOrigin
+        Of the fleet file now: positions in another map mean nothing.
+
+    Raises
+    ------
+    PlanStoreError
+        If it cannot be read, or does not hold together.
+    """
+    try:
+        content = json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise PlanStoreError(f"{path}: cannot be read: {error}") from None
+    try:
+        return _stored(content, origin)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise PlanStoreError(f"{path}: is not a stored plan: {error!r}") from None
+
+
+def _stored(content: Mapping[str, Any], origin: MapOrigin) -> StoredPlan:
+    if content["version"] != VERSION:
+        raise ValueError(f"version must be {VERSION}, got {content['version']!r}")
+    if content["origin"] != asdict(origin):
+        raise ValueError(f"the map origin was {content['origin']}, it is {asdict(origin)}")
+    link = LinkBudget(**content["settings"].pop("link"))
+    settings = PlanSettings(link=link, **content["settings"])
+    table = DeviceTable()
+    reported = [Device(**{**entry, "position": tuple(entry["position"])}) for entry in content["devices"]]
+    if faults := table.apply(reported).faults:
+        raise ValueError(str(faults[0]))
+    cells = tuple(
+        LiveCell(
+            int(cell["id"]),
+            (float(cell["position"][0]), float(cell["position"][1])),
+            tuple(cell["device_ids"]),
+            tuple(map(float, cell["power_w"])),
+        )
+        for cell in content["cells"]
+    )
+    demands = settings.demands(table.devices)
+    live = LivePlan(cells, demands, content["unserved"], int(content["next_id"]), int(content["uavs_needed"]))
+    limits = settings.limits(len(cells))
+    if broken := live.deployment(limits).violations(
+        demands.positions, demands.rates, settings.link, settings.max_devices_per_uav, None, settings.min_separation_m
+    ):
+        raise ValueError(broken[0])
+    names = {int(cell): str(name) for cell, name in content["names"].items()}
+    return StoredPlan(int(content["plan_id"]), table.devices, settings, live, names)
