@@ -260,10 +260,15 @@ class Aircraft:
         return "" if self.autopilot is None else self.autopilot.goal_mode[self.settings.transport]
 
     def _identify(self) -> None:
-        heard = by_heartbeat(self.vehicle.autopilot or 0)
-        wanted = self.config.autopilot
-        mismatch = heard is None or (wanted != "auto" and heard is not REGISTRY[wanted])
-        self.autopilot = None if mismatch or self.vehicle.vehicle_type not in _MULTICOPTERS else heard
+        """Take the personality of the heartbeat; a generic heartbeat leaves the choice to the fleet file."""
+        vehicle, wanted = self.vehicle, self.config.autopilot
+        heard = by_heartbeat(vehicle.autopilot if vehicle.autopilot is not None else mavlink.MAV_AUTOPILOT_INVALID)
+        types = _MULTICOPTERS
+        if wanted != "auto" and vehicle.autopilot == mavlink.MAV_AUTOPILOT_GENERIC:
+            heard = REGISTRY[wanted]
+            types = _MULTICOPTERS | {mavlink.MAV_TYPE_GENERIC}
+        fits = heard is not None and (wanted == "auto" or heard is REGISTRY[wanted])
+        self.autopilot = heard if fits and vehicle.vehicle_type in types else None
         if self.autopilot is not None:
             self._streams.restart()
 
@@ -414,7 +419,7 @@ class Aircraft:
             return self.duplicates
         if vehicle.autopilot is None or self.autopilot is not None:
             return ""
-        if vehicle.vehicle_type not in _MULTICOPTERS:
+        if vehicle.vehicle_type not in _MULTICOPTERS and vehicle.vehicle_type != mavlink.MAV_TYPE_GENERIC:
             return f"MAV_TYPE {vehicle.vehicle_type} is not a multicopter: not served"
         heard = by_heartbeat(vehicle.autopilot)
         name = heard.name if heard else f"MAV_AUTOPILOT {vehicle.autopilot}"

@@ -134,7 +134,7 @@ class FleetController:
         self._deadman = PlanDeadman(settings.plan_timeout_s)
         self._calls: deque[Callable[[float], None]] = deque()
         self._stopping = threading.Event()
-        #: What ended the I/O thread against expectation; its heartbeats have stopped then, and aircraft are on their own.
+        #: What ended the I/O thread against expectation: its heartbeats have stopped then.
         self.failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
         self._heartbeat_at = 0.0
