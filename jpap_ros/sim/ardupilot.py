@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from jpap_ros.sim.channel import Channel
 from jpap_ros.sim.commands import Command
 from jpap_ros.sim.flight import FlyAt, FlyTo, Point, Rest, TakeOff
-from jpap_ros.sim.setpoint import RELATIVE_FRAMES, Parts, local_point, up_of_altitude, velocity_enu
+from jpap_ros.sim.setpoint import MAX_HEIGHT_M, RELATIVE_FRAMES, Parts, local_point, up_of_altitude, velocity_enu
 from jpap_ros.sim.vehicle import ACCEPTED, DENIED, FAILED, UNSUPPORTED, SimVehicle
 
 MODES = {
@@ -187,7 +187,7 @@ class ArduPilotVehicle(SimVehicle):
         if command.is_int and command.frame not in RELATIVE_FRAMES:
             return DENIED
         height = command.param(7)
-        if self._mode != "GUIDED" or not self.armed or not self.on_ground or not height > 0.0:
+        if self._mode != "GUIDED" or not self.armed or not self.on_ground or not 0.0 < height <= MAX_HEIGHT_M:
             return FAILED
         goal = (self.body.x, self.body.y, self.home_z() + height)
         if not self.within_fence(goal):

@@ -92,6 +92,8 @@ class Channel:
     def put(self, message: Any) -> None:
         """Pack a message for sending."""
         self.frames.append(message.pack(self._mav))
+        # pymavlink counts only in its own send().
+        self._mav.seq = (self._mav.seq + 1) % 256
         self.sent += 1
 
     def take(self) -> list[bytes]:

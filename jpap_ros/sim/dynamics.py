@@ -8,6 +8,8 @@ from dataclasses import dataclass
 #: Longest time that one call of `PointMass.fly_to` may span [s].
 MAX_STEP_S = 0.05
 GRAVITY = 9.80665
+#: Nearer than this is there [m].
+_THERE_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,8 @@ def closing_speed(distance: float, speed: float, limit: float, acceleration: flo
     if room <= 0.0:
         return 0.0
     half = 0.5 * acceleration * dt
-    return min(limit, math.sqrt(half * half + acceleration * room) - half)
+    # The stable form of the root: sqrt(half² + a·room) − half cancels for a tiny distance.
+    return min(limit, acceleration * room / (half + math.sqrt(half * half + acceleration * room)))
 
 
 class PointMass:
@@ -94,6 +97,10 @@ class PointMass:
     def speed(self) -> float:
         """Horizontal speed [m/s]."""
         return math.hypot(self.vx, self.vy)
+
+    def rests_at(self, goal: tuple[float, float, float]) -> bool:
+        """Whether it is exactly there and does not move."""
+        return self.position == goal and self.vx == self.vy == self.vz == 0.0
 
     def stopping_point(self) -> tuple[float, float, float]:
         """Where it comes to rest when it brakes now [m]."""
@@ -165,7 +172,7 @@ class PointMass:
         limits = self.limits
         closing = (old_vx * dx + old_vy * dy) / distance if distance > 0.0 else 0.0
         wanted = closing_speed(distance, closing, limits.speed, limits.acceleration, dt)
-        if wanted == 0.0 and speed <= limits.acceleration * dt and distance <= speed * dt:
+        if speed <= limits.acceleration * dt and (distance <= _THERE_M or (wanted == 0.0 and distance <= speed * dt)):
             # The rest of the stop fits into this step.
             self.x, self.y = goal[0], goal[1]
             self.vx = self.vy = self.ax = self.ay = 0.0
@@ -196,7 +203,7 @@ class PointMass:
         acceleration = self.limits.vertical_acceleration
         wanted = closing_speed(abs(rise), sign * old, climb if rise > 0.0 else descent, acceleration, dt)
         step = acceleration * dt
-        if wanted == 0.0 and abs(old) <= step and abs(rise) <= abs(old) * dt:
+        if abs(old) <= step and (abs(rise) <= _THERE_M or (wanted == 0.0 and abs(rise) <= abs(old) * dt)):
             self.z, self.vz = goal, 0.0
             return
         self.vz = min(max(sign * wanted, old - step), old + step)

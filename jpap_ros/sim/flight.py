@@ -64,7 +64,6 @@ class FlyTo(Manoeuvre):
         if yaw is not None and yaw != body.yaw:
             body.turn_to(yaw, dt)
         if body.z <= 0.0 and self.goal[2] <= 0.0:
-            body.z = 0.0
             vehicle.touch_down()
 
 
@@ -84,7 +83,6 @@ class FlyAt(Manoeuvre):
         if self.yaw is not None:
             vehicle.body.turn_to(self.yaw, dt)
         if vehicle.body.z <= 0.0:
-            vehicle.body.z = 0.0
             vehicle.touch_down()
 
 
@@ -104,7 +102,7 @@ class TakeOff(Manoeuvre):
             return
         vehicle.on_ground = False
         vehicle.body.fly_to(self.goal, dt)
-        if vehicle.body.position == self.goal:
+        if vehicle.body.rests_at(self.goal):
             vehicle.take_off_finished()
 
 
@@ -160,7 +158,7 @@ class ReturnHome(Manoeuvre):
             return
         self.goal = self._legs[0]
         vehicle.body.fly_to(self.goal, dt)
-        if vehicle.body.position != self.goal:
+        if not vehicle.body.rests_at(self.goal):
             return
         if len(self._legs) == 1 and self._wait > 0.0:
             self._wait -= dt

@@ -84,6 +84,9 @@ class VehicleOptions:
         Return home when the ground station's heartbeat has been missing for so long [s].
     offboard_loss_s : float
         PX4's COM_OF_LOSS_T [s].
+    offboard_proof_s : float
+        How long targets must have been streaming before OFFBOARD is granted [s]: a second by PX4's documentation; its
+        source asks only for one fresh target, which 0 stands for.
     offboard_loss_mode : str
         Where PX4 goes then: `HOLD`, `RTL` or `LAND`.
     signing_key : bytes or None
@@ -106,6 +109,7 @@ class VehicleOptions:
     sysid_enforce: bool = False
     gcs_failsafe_s: float | None = None
     offboard_loss_s: float = 1.0
+    offboard_proof_s: float = 1.0
     offboard_loss_mode: str = "HOLD"
     signing_key: bytes | None = None
     link_faults: LinkFaults = field(default_factory=LinkFaults)

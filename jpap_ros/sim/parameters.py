@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
 from typing import Any
@@ -44,9 +45,12 @@ class ParameterTable:
         return [self._message(self._names.index(name))]
 
     def _decode(self, name: str, wire: float) -> int | float:
-        if not isinstance(self._values[name], int):
-            return wire
-        return _int_of_bits(wire) if self._bytewise else round(wire)
+        whole = isinstance(self._values[name], int)
+        if whole and self._bytewise:
+            return _int_of_bits(wire)
+        if not math.isfinite(wire):
+            return self._values[name]
+        return round(wire) if whole else wire
 
     def _message(self, index: int) -> Any:
         name = self._names[index]

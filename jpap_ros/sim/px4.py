@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from jpap_ros.sim.channel import Channel
 from jpap_ros.sim.commands import Command
 from jpap_ros.sim.flight import FlyAt, FlyTo, Point, Rest, TakeOff
-from jpap_ros.sim.setpoint import Parts, local_point, velocity_enu
+from jpap_ros.sim.setpoint import MAX_HEIGHT_M, Parts, local_point, velocity_enu
 from jpap_ros.sim.vehicle import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, SimVehicle
 
 _AUTO = 4
@@ -34,8 +34,6 @@ _NO_POSITION_NEEDED = ("MANUAL", "ALTCTL", "STABILIZED", "LAND")
 RTL_RETURN_ALT_M = 60.0
 RTL_CONE_SLOPE = 1.0
 NAV_ACC_RAD_M = 2.0
-#: How long targets must have been streaming before OFFBOARD is to be had [s].
-OFFBOARD_PROOF_S = 1.0
 #: A goal this far above the ground makes an aircraft in OFFBOARD take off [m].
 _LIFT_OFF_M = 0.3
 
@@ -90,7 +88,7 @@ class Px4Vehicle(SimVehicle):
     ARMING_REFUSED_TEXT = "Arming denied: {}"
     ARMING_REFUSED_RESULT = TEMPORARILY_REJECTED
     FORCE_ARMS = False
-    NO_POSITION_TEXT = "Preflight Fail: No valid global position"
+    NO_POSITION_TEXT = "No valid global position estimate"
     ARMED_TEXT = "Armed by external command"
     DISARMED_TEXT = "Disarmed: {}"
 
@@ -153,7 +151,7 @@ class Px4Vehicle(SimVehicle):
 
     def _stream_proven(self) -> bool:
         fresh = self.now - self._stream_last <= self.options.offboard_loss_s
-        return fresh and self._stream_last - self._stream_began >= OFFBOARD_PROOF_S
+        return fresh and self.now - self._stream_began >= self.options.offboard_proof_s
 
     def pilot_mode(self, mode: str) -> None:
         """The pilot's switch."""
@@ -181,7 +179,9 @@ class Px4Vehicle(SimVehicle):
     def _begin_take_off(self) -> None:
         lowest = self.home_z() + self.parameters["MIS_TAKEOFF_ALT"]
         wanted = self._take_off_amsl - self.frame.origin.altitude_amsl_m
-        self.manoeuvre = TakeOff((self.body.x, self.body.y, max(wanted, lowest) if math.isfinite(wanted) else lowest))
+        self.manoeuvre = TakeOff(
+            (self.body.x, self.body.y, max(wanted, lowest) if abs(wanted) <= MAX_HEIGHT_M else lowest)
+        )
 
     def _begin_return(self) -> None:
         home = self.home if self.home is not None else self.body.position
@@ -242,9 +242,9 @@ class Px4Vehicle(SimVehicle):
             return result
         lat, lon = command.lat_lon()
         amsl, yaw = command.param(7), command.param(4)
-        up = amsl - self.frame.origin.altitude_amsl_m if math.isfinite(amsl) else self.body.z
+        up = amsl - self.frame.origin.altitude_amsl_m if abs(amsl) <= MAX_HEIGHT_M else self.body.z
         goal: Point | None = (self.body.x, self.body.y, up)
-        if math.isfinite(lat) and math.isfinite(lon):
+        if abs(lat) <= 90.0 and abs(lon) <= 180.0:
             goal = self.map_point(round(lat * 1e7), round(lon * 1e7), up)
         if goal is None or not self.within_fence(goal):
             self.say("Reposition is outside geofence", mavlink.MAV_SEVERITY_CRITICAL)
@@ -282,7 +282,7 @@ class Px4Vehicle(SimVehicle):
         if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
             known = message.coordinate_frame == mavlink.MAV_FRAME_LOCAL_NED
             return local_point(self, message) if known else None
-        if self.ekf_origin is None or not math.isfinite(message.alt):
+        if self.ekf_origin is None or not abs(message.alt) <= MAX_HEIGHT_M:
             return None
         frame = message.coordinate_frame
         if frame == mavlink.MAV_FRAME_GLOBAL_INT:

@@ -19,6 +19,8 @@ _FORCE, _YAW = 0x200, 0x400
 
 #: Higher or lower no aircraft is asked to fly [m]; beyond it a number is taken for garbage.
 MAX_HEIGHT_M = 10_000.0
+#: The same across the ground [m].
+MAX_DISTANCE_M = 100_000.0
 
 AMSL_FRAMES = frozenset((mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT))
 RELATIVE_FRAMES = frozenset((mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))

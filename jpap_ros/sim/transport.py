@@ -7,7 +7,7 @@ import selectors
 import socket
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -33,9 +33,12 @@ class Inbox:
     ----------
     signing_key : bytes or None
         With a key, frames without a good signature are dropped and counted.
+    datagrams : bool
+        Data comes in datagrams of whole frames; what is left of a broken one does not swallow the next.
     """
 
-    def __init__(self, signing_key: bytes | None) -> None:
+    def __init__(self, signing_key: bytes | None, datagrams: bool) -> None:
+        self._datagrams = datagrams
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
         self._parser.signing.secret_key = signing_key
@@ -43,6 +46,10 @@ class Inbox:
 
     def messages(self, data: bytes) -> list[Any]:
         """Whole messages in the data, with what earlier data left."""
+        if self._datagrams and self._parser.buf_len() > 0:
+            self._parser.buf, self._parser.buf_index = bytearray(), 0
+            self._parser.expected_length = mavlink.HEADER_LEN_V1 + 2
+            self.rejected += 1
         messages = []
         for message in self._parser.parse_buffer(data) or ():
             if message.get_type() == "BAD_DATA":
@@ -54,6 +61,8 @@ class Inbox:
 
 class Port(ABC):
     """One socket, or one listening socket with its connections."""
+
+    _DATAGRAMS: ClassVar[bool]
 
     def __init__(self, signing_key: bytes | None) -> None:
         self.signing_key = signing_key
@@ -80,7 +89,7 @@ class Port(ABC):
     def _inbox(self, peer: Any) -> Inbox:
         inbox = self._inboxes.get(peer)
         if inbox is None:
-            inbox = self._inboxes[peer] = Inbox(self.signing_key)
+            inbox = self._inboxes[peer] = Inbox(self.signing_key, self._DATAGRAMS)
         return inbox
 
 
@@ -94,6 +103,8 @@ class UdpPort(Port):
         and everyone who speaks to it gets the frames.
     signing_key : bytes or None
     """
+
+    _DATAGRAMS = True
 
     def __init__(self, url: LinkUrl, signing_key: bytes | None) -> None:
         super().__init__(signing_key)
@@ -145,6 +156,8 @@ class UdpPort(Port):
 
 class TcpPort(Port):
     """A TCP server, as a simulator's serial port is; every connection gets every frame."""
+
+    _DATAGRAMS = False
 
     def __init__(self, url: LinkUrl, signing_key: bytes | None) -> None:
         super().__init__(signing_key)

@@ -33,6 +33,9 @@ UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
 #: Share of the hovering current that idling motors draw.
 _IDLE_DRAIN = 0.1
 _RECEIVED_KEPT = 5000
+#: MESSAGE_INTERVAL has 16 bits for it.
+_GREATEST_MESSAGE_ID = 0xFFFF
+_LONGEST_INTERVAL_US = 0x7FFFFFFF
 
 
 @dataclass(frozen=True)
@@ -460,7 +463,7 @@ class SimVehicle(ABC):
         kind, interval_us = command.integer(1), command.param(2)
         if kind not in BUILDERS:
             return DENIED
-        if not math.isfinite(interval_us) or 0.0 < interval_us < 1000.0:
+        if not -1.0 <= interval_us <= _LONGEST_INTERVAL_US or 0.0 < interval_us < 1000.0:
             return DENIED
         if interval_us == 0.0:
             channel.restore(kind, self.now)
@@ -470,6 +473,8 @@ class SimVehicle(ABC):
 
     def _get_message_interval(self, command: Command, channel: Channel) -> int:
         kind = command.integer(1)
+        if not 0 <= kind <= _GREATEST_MESSAGE_ID:
+            return DENIED
         interval = channel.interval(kind)
         interval_us = 0 if kind not in BUILDERS else -1 if interval is None else round(interval * 1e6)
         channel.put(mavlink.MAVLink_message_interval_message(kind, interval_us))
@@ -526,6 +531,7 @@ class SimVehicle(ABC):
     def touch_down(self) -> None:
         """The ground takes all motion."""
         self.on_ground = True
+        self.body.z = 0.0
         self.body.halt()
 
     def within_fence(self, point: Point) -> bool:
