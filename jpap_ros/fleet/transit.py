@@ -268,6 +268,8 @@ def _wave(scene: _Scene, members: list[int], waiting: list[int], here: Floats) -
     resting = [i for i in members if i not in waiting]
     wave: dict[int, Floats] = {}
     for i in sorted(waiting, key=lambda k: (-float(np.linalg.norm(scene.goal[k] - here[k])), k)):
+        if _goal_taken(scene, i, here, resting):
+            continue
         for path in _candidates(scene, i, here):
             if scene.blocker(i, path, here, resting) is None and _together(scene, i, path, wave, here):
                 wave[i] = path
@@ -284,10 +286,17 @@ def _single(scene: _Scene, members: list[int], waiting: list[int], here: Floats)
     """Path of the first of the waiting that can go while all others stay."""
     for i in waiting:
         others = [j for j in members if j != i]
+        if _goal_taken(scene, i, here, others):
+            continue
         for path in _candidates(scene, i, here):
             if scene.blocker(i, path, here, others) is None:
                 return {i: path}
     return {}
+
+
+def _goal_taken(scene: _Scene, aircraft: int, here: Floats, still: Sequence[int]) -> bool:
+    """Whether no path can help, because the goal itself is too near to somebody who stays."""
+    return scene.blocker(aircraft, scene.goal[[aircraft, aircraft]], here, still) is not None
 
 
 def _candidates(scene: _Scene, aircraft: int, here: Floats) -> Iterator[Floats]:

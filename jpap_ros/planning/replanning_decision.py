@@ -40,10 +40,10 @@ class ReplanningPolicy:
     uav_value: float = 1.0
     rate_value: float = 1.0
     unserved_value: float = 2.0
-    metre_cost: float = 0.0002
-    launch_cost: float = 0.05
-    interruption_cost: float = 0.05
-    tolerance: float = 0.1
+    metre_cost: float = 0.0005
+    launch_cost: float = 0.1
+    interruption_cost: float = 0.1
+    tolerance: float = 0.5
 
     def __post_init__(self) -> None:
         for item in fields(self):
