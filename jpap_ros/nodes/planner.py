@@ -11,12 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
-from jpap_msgs.msg import Deployment, DeviceUpdate, GeoDeviceUpdate, PowerAllocation, VehicleState
+from jpap_msgs.msg import DeviceUpdate, GeoDeviceUpdate, VehicleState
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_msgs.msg import Header
@@ -33,7 +31,9 @@ from jpap_ros.nodes import planner_conversions as conversions
 from jpap_ros.nodes.lifecycle import ManagedNode
 from jpap_ros.nodes.parameters import declare, values
 from jpap_ros.nodes.planner_diagnostics import PlannerHealth
+from jpap_ros.nodes.planner_intake import DeviceIntake
 from jpap_ros.nodes.planner_jobs import EventJob, WeighJob
+from jpap_ros.nodes.planner_outputs import PlannerOutputs
 from jpap_ros.nodes.planner_parameters import (
     PLAN_PARAMETERS,
     plan_settings,
@@ -43,13 +43,10 @@ from jpap_ros.nodes.planner_parameters import (
 from jpap_ros.nodes.process import run
 from jpap_ros.nodes.qos import DEVICES, LATCHED
 from jpap_ros.nodes.worker import Worker
-from jpap_ros.planning.devices import Changes, Device, DeviceTable, Fault
+from jpap_ros.planning.devices import Changes, Device
 
 #: At the end, how long to wait for a plan that is being made [s].
 _STOP_PATIENCE_S = 2.0
-
-#: More faults than these are counted but neither remembered nor logged: random ids must not fill memory or disk.
-_MAX_REMEMBERED_FAULTS = 1000
 
 
 def _run(job: EventJob | WeighJob) -> tuple[FleetPlan, str] | Weighed:
@@ -70,9 +67,6 @@ class PlannerNode(ManagedNode):
         super().__init__("planner")
         self._params = planner_parameters()
         declare(self, self._params, self._on_parameters)
-        self._table = DeviceTable()
-        self._faults: dict[tuple[str, str], Fault] = {}
-        self._refused: set[str] = set()
         self._events = Events()
         self._waiting: list[Future] = []
         self._first_event_s: float | None = None
@@ -92,12 +86,10 @@ class PlannerNode(ManagedNode):
         """Read the fleet file and begin to listen, so that no device event is lost before activation."""
         self._settings = values(self, self._params)
         self._fleet = load_fleet(self._settings["fleet_file"])
-        self._frame = LocalFrame(self._fleet.origin)
-        self._deployment_out = self._publisher(Deployment, "deployment")
-        self._goals_out = {name: self._publisher(PoseStamped, f"{name}/goal_pose") for name in self._fleet.names}
-        self._powers_out = {
-            name: self._publisher(PowerAllocation, f"{name}/power_allocation") for name in self._fleet.names
-        }
+        local = LocalFrame(self._fleet.origin)
+        self._intake = DeviceIntake(self._settings["map_frame"], local, self.get_logger().warning)
+        self._outputs = PlannerOutputs(self, self._fleet.names)
+        self._made.callback(self._outputs.close)
         self._restore()
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._made.callback(self.destroy_publisher, self._diagnostics_out)
@@ -131,7 +123,7 @@ class PlannerNode(ManagedNode):
             return
         if stored is None:
             return
-        self._table.apply(stored.devices, now_s=time.monotonic())
+        self._intake.restore(stored.devices)
         self._health.plan_id, self._planned_with = stored.plan_id, stored.settings
         self._health.plan = stored.plan(self._all_aircraft())
         self._events.add(f"planner restarted, going on from plan {stored.plan_id}")
@@ -164,9 +156,6 @@ class PlannerNode(ManagedNode):
     def cleanup(self) -> None:
         """Stop listening and forget everything."""
         self._made.close()
-        self._table = DeviceTable()
-        self._faults.clear()
-        self._refused.clear()
         self._events = Events()
         self._states.clear()
         self._health = PlannerHealth(plan_id=self._health.plan_id)
@@ -180,39 +169,15 @@ class PlannerNode(ManagedNode):
     # Events
 
     def _on_devices(self, message: DeviceUpdate) -> None:
-        if message.header.frame_id == self._settings["map_frame"]:
-            self._take_in(message, conversions.devices_of(message))
-            return
-        self._health.faults += 1
-        frame = message.header.frame_id
-        if frame not in self._refused and len(self._refused) < _MAX_REMEMBERED_FAULTS:
-            self._refused.add(frame)
-            self.get_logger().warning(
-                f"refused a device report: header.frame_id must be {self._settings['map_frame']!r}, got {frame!r}"
-            )
+        self._answer_changes(self._intake.take(message))
 
     def _on_geo_devices(self, message: GeoDeviceUpdate) -> None:
-        self._take_in(message, conversions.geo_devices_of(message, self._frame))
+        self._answer_changes(self._intake.take_geo(message))
 
-    def _take_in(self, message: DeviceUpdate | GeoDeviceUpdate, reported: Sequence[Device | Fault]) -> None:
-        changes = self._table.apply(reported, message.departed, snapshot=message.snapshot, now_s=time.monotonic())
-        self._note_faults(reported, changes)
+    def _answer_changes(self, changes: Changes) -> None:
         if changes:
             self._events.add_changes(changes)
             self._touch()
-
-    def _note_faults(self, reported: Sequence[Device | Fault], changes: Changes) -> None:
-        """Say each distinct fault once, until its device reports well again."""
-        wrong = {fault.id for fault in changes.faults}
-        mended = {entry.id for entry in reported if entry.id not in wrong} | set(changes.left)
-        if self._faults:
-            self._faults = {key: fault for key, fault in self._faults.items() if fault.id not in mended}
-        self._health.faults += len(changes.faults)
-        new = [fault for fault in changes.faults if (fault.id, fault.field) not in self._faults]
-        room = _MAX_REMEMBERED_FAULTS - len(self._faults)
-        self._faults.update({(fault.id, fault.field): fault for fault in new[:room]})
-        if new[:room]:
-            self.get_logger().warning(f"ignored in a device report: {conversions.listed(new[:room])}")
 
     def _on_state(self, name: str, state: VehicleState) -> None:
         before = self._aircraft(name)
@@ -253,16 +218,15 @@ class PlannerNode(ManagedNode):
 
     def _on_second(self) -> None:
         timeout_s = self._settings["device_timeout_s"]
-        if timeout_s and (silent := self._table.expire(time.monotonic(), timeout_s)):
+        if timeout_s and (silent := self._intake.expire(timeout_s)):
             self.get_logger().info(f"no report for {timeout_s:g} s, taken as left: {conversions.listed(silent)}")
-            self._faults = {key: fault for key, fault in self._faults.items() if fault.id not in silent}
             self._events.add_silent(len(silent))
             self._touch()
         health = self._health
         health.active = self.active
         health.pending = self._in_work is not None or bool(self._events)
-        health.devices = len(self._table)
-        health.ignored = len({fault.id for fault in self._faults.values()})
+        health.devices, health.ignored = len(self._intake.devices), self._intake.ignored
+        health.faults = self._intake.faults
         health.fleet = len(self._fleet.names)
         health.available = sum(craft.available for craft in self._all_aircraft())
         status = health.status(f"{self.get_fully_qualified_name()}: deployment", time.monotonic())
@@ -295,7 +259,7 @@ class PlannerNode(ManagedNode):
         assert self._worker is not None and self._first_event_s is not None
         plan, settings = self._health.plan, plan_settings(self._settings)
         job = EventJob(
-            devices=self._table.devices,
+            devices=self._intake.devices,
             settings=settings,
             aircraft=self._all_aircraft(),
             present=plan,
@@ -323,8 +287,7 @@ class PlannerNode(ManagedNode):
             self._after_planning(job, *result)
         if self._overdue:
             self._on_quiet()
-        elif self._in_work is None:
-            self._reoptimise()
+        self._reoptimise()
 
     def _keep(self, job: EventJob, error: Exception) -> None:
         """Planning failed: the last good plan stays in force, and the next one answers for these events too."""
@@ -361,7 +324,8 @@ class PlannerNode(ManagedNode):
 
     def _reoptimise(self) -> None:
         """Have a plan made from scratch for what the plan in force was made for, unless that was done."""
-        if self._solver is None or self._solving or self._health.plan is None or self._events:
+        busy = self._solving or self._in_work is not None or bool(self._events)
+        if self._solver is None or self._health.plan is None or busy:
             return
         if not self._settings["reoptimise"] and not self._asked:
             return
@@ -381,7 +345,7 @@ class PlannerNode(ManagedNode):
             self._tell_asked(False, f"no plan from scratch: {full}")
         elif self._events or self._in_work is not None or request != self._request():
             # Out of date: what is being planned now comes first, and then the next one from scratch.
-            self._reoptimise_unless_busy()
+            self._reoptimise()
         else:
             assert self._worker is not None and self._health.plan is not None
             self._in_work = WeighJob(
@@ -393,10 +357,6 @@ class PlannerNode(ManagedNode):
                 started_s=time.monotonic(),
             )
             self._worker.submit(self._in_work)
-
-    def _reoptimise_unless_busy(self) -> None:
-        if self._in_work is None:
-            self._reoptimise()
 
     def _after_weighing(self, job: WeighJob, result: tuple[FleetPlan, str] | Weighed | Exception) -> None:
         self._weighed = job.request
@@ -418,7 +378,7 @@ class PlannerNode(ManagedNode):
     def _request(self) -> Request:
         """What a plan from scratch would be asked for now."""
         available = sum(craft.available for craft in self._all_aircraft())
-        return Request(self._table.devices, plan_settings(self._settings), available)
+        return Request(self._intake.devices, plan_settings(self._settings), available)
 
     def _tell_asked(self, success: bool, message: str) -> None:
         self._tell(self._asked, success, message)
@@ -429,18 +389,10 @@ class PlannerNode(ManagedNode):
     def _publish(self, plan: FleetPlan, reason: str, altitude_m: float, started_s: float) -> None:
         health = self._health
         health.plan_id += 1
-        header = self._header()
         now = time.monotonic()
-        message = conversions.deployment_message(plan, header, health.plan_id, reason, altitude_m, now - started_s)
-        # The deployment first: whoever gets a goal can look up what it belongs to.
-        self._deployment_out.publish(message)
-        for cell in plan.cells:
-            if cell.uav:
-                self._goals_out[cell.uav].publish(conversions.goal_pose(cell, header, altitude_m))
-                self._powers_out[cell.uav].publish(conversions.power_allocation(cell.uav, cell, header, health.plan_id))
-        freed = set(health.plan.names.values()) - set(plan.names.values()) if health.plan is not None else set()
-        for name in sorted(freed):
-            self._powers_out[name].publish(conversions.power_allocation(name, None, header, health.plan_id))
+        self._outputs.publish(
+            plan, health.plan, self._header(), health.plan_id, reason, altitude_m, planning_time_s=now - started_s
+        )
         health.plan, health.plan_made_s, health.planning_s, health.failure = plan, now, now - started_s, ""
         self.get_logger().info(
             f"plan {health.plan_id} ({reason}): {plan.summary()}; planned in {health.planning_s * 1e3:.1f} ms"
@@ -498,11 +450,6 @@ class PlannerNode(ManagedNode):
 
     def _header(self) -> Header:
         return Header(stamp=self.get_clock().now().to_msg(), frame_id=self._settings["map_frame"])
-
-    def _publisher(self, kind: type, topic: str) -> LifecyclePublisher[Any]:
-        publisher = self.create_lifecycle_publisher(kind, topic, LATCHED)
-        self._made.callback(self.destroy_lifecycle_publisher, publisher)
-        return publisher
 
     def _subscribe(self, kind: type, topic: str, callback: Any, qos: QoSProfile) -> None:
         subscription = self.create_subscription(kind, topic, callback, qos)
