@@ -74,7 +74,7 @@ def _write(out: Path, scenario: Scenario, rows: Sequence[Row]) -> list[Path]:
     paths = [path]
     if len({row.devices for row in rows if row.gain_db == 0}) > 1:
         paths += plot_over_devices(rows, average_rate, "Average UAV data rate [bit/s/Hz]", out / "figure1")
-        paths += plot_over_devices(rows, uav_number, "Number of UAVs $N$", out / "figure3")
+        paths += plot_over_devices(rows, uav_number, "Number of UAVs", out / "figure3")
     if len({row.gain_db for row in rows if row.devices == 40}) > 1:
         paths += plot_over_gain(rows, out / "link_budget")
     if any(row.devices == 40 and row.gain_db == 0 for row in rows):

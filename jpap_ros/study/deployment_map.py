@@ -28,7 +28,7 @@ def plot_map(
     with figure_style():
         figure, panels = plt.subplots(
             ncols=len(schemes),
-            figsize=(3.3 * len(schemes), 4.4),
+            figsize=(3.3 * len(schemes), 4.6),
             sharex=True,
             sharey=True,
             squeeze=False,
@@ -84,21 +84,23 @@ def _draw(axes: Axes, positions: Floats, rates: Floats, deployment: Deployment) 
                 alpha=0.7,
             )
         )
-    dots = axes.scatter(positions[:, 0], positions[:, 1], c=rates, cmap="viridis", s=13, zorder=3)
+    dots = axes.scatter(
+        positions[:, 0], positions[:, 1], c=rates, cmap="viridis", s=14, zorder=4, edgecolors="white", linewidths=0.4
+    )
     axes.plot(
         deployment.uav_positions[:, 0],
         deployment.uav_positions[:, 1],
         linestyle="none",
         marker=style.marker,
-        markersize=9 if style.marker == "*" else 7,
+        markersize=11 if style.marker == "*" else 8,
         color=style.colour,
-        markerfacecolor=style.colour if style.filled else "none",
-        zorder=4,
+        markerfacecolor="none",
+        zorder=3,
     )
-    circles = "radius $d_{sv}$" if deployment.coverage_radius_m is not None else "to the farthest device served"
+    circles = "of radius $d_{sv}$" if deployment.coverage_radius_m is not None else "reach the farthest device"
     axes.set_aspect("equal")
     axes.set_title(
         f"{style.label}: {len(deployment.uav_positions)} UAVs\n"
-        f"{deployment.average_uav_rate:.1f} bit/s/Hz a UAV; circles: {circles}"
+        f"{deployment.average_uav_rate:.1f} bit/s/Hz a UAV\ncircles {circles}"
     )
     return dots

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
 
 from jpap_ros.study.rows import Row
 from jpap_ros.study.style import GREY, figure_style, look, save, scheme_order
@@ -38,8 +40,8 @@ def plot_over_devices(rows: Sequence[Row], metric: Metric, ylabel: str, path: Pa
         axes.set_xlabel("Number of devices $K$")
         axes.set_ylabel(ylabel)
         axes.set_ylim(bottom=0)
-        axes.legend(loc="upper left", ncols=2, handlelength=2.8, columnspacing=1.2)
-        axes.set_ylim(top=axes.get_ylim()[1] * 1.22)
+        axes.set_ylim(top=axes.get_ylim()[1] * 1.2)
+        _legend(axes, "upper left")
         return save(figure, path)
 
 
@@ -63,9 +65,9 @@ def plot_over_gain(rows: Sequence[Row], path: Path) -> list[Path]:
                 va="bottom" if above else "top",
             )
         axes.set_xlabel("Link budget above the stated one [dB]")
-        axes.set_ylabel(f"Number of UAVs $N$ for $K$ = {PAPER_DEVICES}")
+        axes.set_ylabel(f"Number of UAVs for {PAPER_DEVICES} devices")
         axes.set_ylim(bottom=0)
-        axes.legend(loc="lower left", ncols=2, handlelength=2.8, columnspacing=1.2)
+        _legend(axes, "lower left")
         return save(figure, path)
 
 
@@ -84,7 +86,15 @@ def _curves(axes: Axes, rows: Sequence[Row], metric: Metric, over: str) -> None:
             linestyle=style.line,
             marker=style.marker,
             markerfacecolor=style.face,
+            markersize=8 if style.marker == "*" else 5,
             capsize=2.5,
             elinewidth=0.9,
         )
     axes.set_xticks(places)
+
+
+def _legend(axes: Axes, where: Literal["upper left", "lower left"]) -> None:
+    """Legend without the error bars."""
+    containers, labels = axes.get_legend_handles_labels()
+    lines = [container[0] if isinstance(container, ErrorbarContainer) else container for container in containers]
+    axes.legend(lines, labels, loc=where, ncols=2, handlelength=2.8, columnspacing=1.2)

@@ -26,7 +26,7 @@ class Mean(NamedTuple):
 
     def __format__(self, spec: str) -> str:
         """Format as 'mean ± half-width'."""
-        return f"{self.value:{spec}} ± {self.half_width:{spec}}"
+        return f"{self.value:{spec}} ± {self.half_width:{spec.lstrip('+')}}"
 
 
 def mean(values: Sequence[float]) -> Mean:
