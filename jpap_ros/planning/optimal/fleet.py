@@ -20,6 +20,7 @@ from jpap_ros.planning.optimal.servability import Ints, Servability
 _MOST_SETS = 1_500_000
 #: Sets that a mixed-integer program can still do something with.
 _MOST_COLUMNS = 60_000
+_LONGEST_SEARCH_S = 5.0
 _ROUNDING = 1e-6
 
 
@@ -171,7 +172,7 @@ def _covering(matrix: sparse.csc_array, cells: list[Ints]) -> Floats | None:
 def _without_enumeration(servability: Servability, fleet: Fleet, deadline: float, seed: int) -> Iterator[Fleet]:
     """Search for a smaller fleet and for a better bound in turn."""
     seen = list(fleet.cells)
-    search_until = time.monotonic() + 0.3 * (deadline - time.monotonic())
+    search_until = time.monotonic() + min(_LONGEST_SEARCH_S, 0.3 * (deadline - time.monotonic()))
     for better in _search(servability, fleet, search_until, seed + 1):
         fleet = better
         seen += fleet.cells

@@ -18,13 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from jpap_ros.planning.link_budget import Floats
-from jpap_ros.planning.optimal.servability import Ints, Servability, Sets
+from jpap_ros.planning.optimal.servability import Bools, Ints, Servability
 
 #: Bounds within this ratio of the best set found are good enough.
 RELATIVE_GAP = 0.01
 _MOST_SQUARES = 6000
 _FINEST_M = 0.5
-_CAPACITY_STEPS = 600
+_CAPACITY_STEPS = 800
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,8 @@ def price(servability: Servability, value: Floats, deadline: float, exact: bool)
         quarters = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]]) * half
         centre = (centre[:, None] + quarters).reshape(-1, 2)
     if exact and len(centre):
-        bound = _whole_knapsack_bound(servability, value, useful, centre, half, bound, deadline)
+        bound = _whole_knapsack_bound(servability, value, useful, centre, half, bound, pool, deadline)
+        best = max(worth for _, worth in pool.values())
     most = max(settled, float(bound.max(initial=0.0)), best)
     sets = list(pool.values())
     return Priced([members for members, _ in sets], np.array([worth for _, worth in sets]), most)
@@ -120,27 +121,59 @@ def _knapsack_bound(servability: Servability, value: Floats, useful: Ints, centr
 
 
 def _whole_knapsack_bound(
-    servability: Servability, value: Floats, useful: Ints, centre: Floats, half: float, bound: Floats, deadline: float
+    servability: Servability,
+    value: Floats,
+    useful: Ints,
+    centre: Floats,
+    half: float,
+    bound: Floats,
+    pool: dict[bytes, tuple[Ints, float]],
+    deadline: float,
 ) -> Floats:
-    """Knapsack with whole devices by dynamic programming, costs rounded down to steps of the capacity."""
-    tight = bound.copy()
+    """Knapsack with whole devices by dynamic programming, costs rounded down to steps of the capacity.
+
+    The optimal knapsacks that turn out to be servable sets are added to the pool.
+    """
+    tight: Floats = bound.copy()
     order = np.argsort(-bound)
-    for start in range(0, len(order), 250):
-        if time.monotonic() > deadline:
+    block = max(10, 25_000 // len(useful))
+    highest = 0.0
+    for start in range(0, len(order), block):
+        rows = order[start : start + block]
+        if time.monotonic() > deadline or bound[rows[0]] <= highest:
             break
-        rows = order[start : start + 250]
-        cost = _costs(servability, useful, centre[rows], half)
-        steps = np.where(np.isfinite(cost), np.floor(np.minimum(cost, 2) * _CAPACITY_STEPS), 2 * _CAPACITY_STEPS)
-        steps = steps.astype(np.int64)
-        best = np.zeros((len(rows), _CAPACITY_STEPS + 1))
-        capacity = np.arange(_CAPACITY_STEPS + 1)
-        for k in np.flatnonzero((steps <= _CAPACITY_STEPS).any(axis=0)):
-            active = np.flatnonzero(steps[:, k] <= _CAPACITY_STEPS)
-            left = capacity[None] - steps[active, k][:, None]
-            with_device = np.take_along_axis(best[active], np.maximum(left, 0), axis=1) + value[useful[k]]
-            best[active] = np.maximum(best[active], np.where(left >= 0, with_device, 0.0))
-        tight[rows] = np.minimum(tight[rows], best[:, -1])
+        cost = _costs(servability, useful, centre[rows], half) * _CAPACITY_STEPS
+        # Rounded down for the bound; rounded to the nearest for sets, most of which are then servable.
+        tight[rows] = np.minimum(tight[rows], _knapsacks(value[useful], np.floor(cost))[0])
+        highest = max(highest, float(tight[rows].max()))
+        worth, chosen = _knapsacks(value[useful], np.rint(cost))
+        for row in np.unique(chosen[worth > 1], axis=0):
+            members = useful[row]
+            if servability.servable(members):
+                pool[members.tobytes()] = (members, float(value[members].sum()))
     return tight
+
+
+def _knapsacks(value: Floats, cost: Floats) -> tuple[Floats, Bools]:
+    """Best worth, and choice of devices (rows, devices), of a knapsack for each row of costs in whole steps."""
+    steps = np.minimum(cost, _CAPACITY_STEPS + 1).astype(np.int64)
+    items = np.flatnonzero((steps <= _CAPACITY_STEPS).any(axis=0))
+    best = np.zeros((len(steps), _CAPACITY_STEPS + 1))
+    taken = np.zeros((len(items), *best.shape), dtype=bool)
+    capacity = np.arange(_CAPACITY_STEPS + 1)
+    for i, k in enumerate(items):
+        left = capacity[None] - steps[:, k][:, None]
+        with_device = np.take_along_axis(best, np.maximum(left, 0), axis=1) + value[k]
+        taken[i] = (left >= 0) & (with_device > best)
+        best = np.where(taken[i], with_device, best)
+    rows = np.arange(len(steps))
+    room = np.full(len(steps), _CAPACITY_STEPS)
+    chosen = np.zeros(cost.shape, dtype=bool)
+    for i in range(len(items) - 1, -1, -1):
+        chosen[:, items[i]] = taken[i, rows, room]
+        room = room - np.where(chosen[:, items[i]], steps[:, items[i]], 0)
+    worth: Floats = best[:, -1]
+    return worth, chosen
 
 
 def _collect(
@@ -168,6 +201,3 @@ def _collect(
     for row in np.unique(chosen, axis=0):
         members = useful[row]
         pool[members.tobytes()] = (members, float(value[members].sum()))
-
-
-__all__ = ["RELATIVE_GAP", "Priced", "Sets", "price"]
