@@ -6,6 +6,7 @@ import random
 import socket
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -125,10 +126,11 @@ def test_lost_frames_show_as_gaps_in_the_sequence(sim_fleet: StartFleet) -> None
         options = VehicleOptions(link_faults=LinkFaults(loss=0.25))
         sim_fleet(fleet_of(uav(1, f"udpin:127.0.0.1:{peer.port}")), options=options)
         peer.wait_for("HEARTBEAT")
-        request = mavlink.MAVLink_command_long_message(1, 1, INTERVAL, 0, POSITION, 5000, 0, 0, 0, 0, 0)
-        while not any(m.get_type() == "GLOBAL_POSITION_INT" for m in peer.heard):
-            peer.send(request)
-            peer.hear(0.2)
+        for kind in ("GLOBAL_POSITION_INT", "ATTITUDE", "SYS_STATUS", "VFR_HUD"):
+            number = getattr(mavlink, f"MAVLINK_MSG_ID_{kind}")
+            while kind not in {m.get_type() for m in peer.heard}:
+                peer.send(mavlink.MAVLink_command_long_message(1, 1, INTERVAL, 0, number, 40_000, 0, 0, 0, 0, 0))
+                peer.hear(0.2)
         peer.heard.clear()
         sent = 0
         last: int | None = None
@@ -163,6 +165,18 @@ def test_with_a_key_frames_are_signed_and_only_signed_ones_obeyed(sim_fleet: Sta
         assert not fleet["uav1"].received
         assert friend.command(1, ARM, 1) == ACCEPTED
         assert fleet["uav1"].armed
+
+
+def test_the_key_of_the_fleet_file_is_used(sim_fleet: StartFleet, tmp_path: Path) -> None:
+    """Oracle: a peer with the same 64 hexadecimal digits is obeyed."""
+    key_file = tmp_path / "key"
+    key_file.touch(mode=0o600)
+    key_file.write_text(KEY.hex())
+    with Peer.udp(signing_key=KEY) as friend:
+        url = f"udpin:127.0.0.1:{friend.port}"
+        sim_fleet(fleet_of(f'{{name: uav1, sysid: 1, url: "{url}", signing_key_file: {key_file}}}'))
+        assert friend.wait_for("HEARTBEAT").get_msgbuf()[2] & mavlink.MAVLINK_IFLAG_SIGNED
+        assert friend.command(1, ARM, 1) == ACCEPTED
 
 
 # Bad input

@@ -87,6 +87,8 @@ class SimNode(Node):
             self.get_logger().error(f"parameter faults: {error}")
 
     def _report(self) -> None:
+        if self._fleet is not None and not self._fleet.running:
+            raise RuntimeError("the simulated vehicles have stopped; the traceback above says why")
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
         array.status = [self._status(vehicle) for vehicle in self._fleet or ()]

@@ -3,7 +3,18 @@
 from jpap_ros.sim.dynamics import MotionLimits
 from jpap_ros.sim.fleet import SimFleet
 from jpap_ros.sim.options import Fence, LinkFaults, VehicleOptions
+from jpap_ros.sim.received import Received, ReceivedLog
 from jpap_ros.sim.transport import SimError
-from jpap_ros.sim.vehicle import Received, SimVehicle
+from jpap_ros.sim.vehicle import SimVehicle
 
-__all__ = ["Fence", "LinkFaults", "MotionLimits", "Received", "SimError", "SimFleet", "SimVehicle", "VehicleOptions"]
+__all__ = [
+    "Fence",
+    "LinkFaults",
+    "MotionLimits",
+    "Received",
+    "ReceivedLog",
+    "SimError",
+    "SimFleet",
+    "SimVehicle",
+    "VehicleOptions",
+]

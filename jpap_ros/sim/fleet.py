@@ -14,8 +14,9 @@ from functools import partial
 from types import TracebackType
 from typing import Any
 
-from jpap_ros.fleet.config import FleetConfig, LinkUrl
+from jpap_ros.fleet.config import FleetConfig, LinkUrl, UavConfig
 from jpap_ros.mavlink.geodesy import LocalFrame
+from jpap_ros.mavlink.signing import SigningError, SigningKey
 from jpap_ros.sim.ardupilot import ArduPilotVehicle
 from jpap_ros.sim.channel import Channel
 from jpap_ros.sim.dynamics import MAX_STEP_S
@@ -27,7 +28,8 @@ from jpap_ros.sim.vehicle import SimVehicle
 
 PERSONALITIES: dict[str, type[SimVehicle]] = {"ardupilot": ArduPilotVehicle, "px4": Px4Vehicle}
 
-TICK_S = 0.02
+#: Messages go out at this rhythm, so none is sent more often than 25 times a second.
+TICK_S = 0.04
 MAX_SPEEDUP = 100.0
 GRID_M = 10.0
 #: A process that was stopped for longer does not make up for it [s].
@@ -99,7 +101,7 @@ class SimFleet:
             for i, uav in enumerate(config.uavs):
                 start = uav.home_m or (GRID_M * (i % columns), GRID_M * (i // columns))
                 personality = PERSONALITIES["ardupilot" if uav.autopilot == "auto" else uav.autopilot]
-                vehicle = personality(uav, frame, start, by_name.get(uav.name, VehicleOptions()), seed, self.lock)
+                vehicle = personality(uav, frame, start, _options(uav, by_name), seed, self.lock)
                 self.vehicles[uav.name] = vehicle
                 for link_id, url in enumerate(uav.urls):
                     station = self._station(url, vehicle, shared)
@@ -151,6 +153,11 @@ class SimFleet:
             return
         self._thread = threading.Thread(target=self._run, name="simulated vehicles", daemon=True)
         self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether the thread started by `start` works; it ends early only by a defect, with a traceback."""
+        return self._thread is not None and self._thread.is_alive()
 
     def close(self) -> None:
         """Stop, and close all sockets."""
@@ -230,6 +237,16 @@ class SimFleet:
         for station in self._stations:
             for vehicle, channel in station.members.values():
                 self._flush(station.port, vehicle, channel, now)
+
+
+def _options(uav: UavConfig, by_name: Mapping[str, VehicleOptions]) -> VehicleOptions:
+    options = by_name.get(uav.name, VehicleOptions())
+    if options.signing_key is None and uav.signing_key_file is not None:
+        try:
+            return options.but(signing_key=SigningKey.load(uav.signing_key_file).secret)
+        except SigningError as error:
+            raise SimError(f"{uav.name}: {error}") from None
+    return options
 
 
 def _send(port: Port, frame: bytes, now: float) -> None:

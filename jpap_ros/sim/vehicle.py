@@ -6,9 +6,7 @@ import math
 import random
 import threading
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -22,6 +20,7 @@ from jpap_ros.sim.dynamics import PointMass
 from jpap_ros.sim.flight import Fall, FlyTo, Land, Manoeuvre, Point, Rest, ReturnHome, TakeOff
 from jpap_ros.sim.options import VehicleOptions
 from jpap_ros.sim.parameters import ParameterTable
+from jpap_ros.sim.received import ReceivedLog
 from jpap_ros.sim.telemetry import BUILDERS
 
 ACCEPTED: int = mavlink.MAV_RESULT_ACCEPTED
@@ -32,32 +31,9 @@ UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
 
 #: Share of the hovering current that idling motors draw.
 _IDLE_DRAIN = 0.1
-_RECEIVED_KEPT = 5000
 #: MESSAGE_INTERVAL has 16 bits for it.
 _GREATEST_MESSAGE_ID = 0xFFFF
 _LONGEST_INTERVAL_US = 0x7FFFFFFF
-
-
-@dataclass(frozen=True)
-class Received:
-    """A command, setpoint or mode request that reached the aircraft.
-
-    Attributes
-    ----------
-    time : float
-        On the fleet's monotonic clock [s].
-    kind : str
-        Message name.
-    source : tuple of int
-        System and component id of the sender.
-    message : object
-        The pymavlink message.
-    """
-
-    time: float
-    kind: str
-    source: tuple[int, int]
-    message: Any
 
 
 class SimVehicle(ABC):
@@ -109,7 +85,7 @@ class SimVehicle(ABC):
         self.random = random.Random(f"{seed}:{config.sysid}")
         self.lock = lock
         self.channels: list[Channel] = []
-        self.received: deque[Received] = deque(maxlen=_RECEIVED_KEPT)
+        self.received = ReceivedLog()
         self.battery = options.battery
         self.link_faults = options.link_faults
         self.silent = False
@@ -288,9 +264,7 @@ class SimVehicle(ABC):
             return
         if getattr(message, "target_component", 0) not in (0, mavlink.MAV_COMP_ID_AUTOPILOT1):
             return
-        if message.get_type() in _LOGGED:
-            source = (message.get_srcSystem(), message.get_srcComponent())
-            self.received.append(Received(now, message.get_type(), source, message))
+        self.received.note(message, now)
         if message.get_type() == "HEARTBEAT" or self.obeys(message.get_srcSystem()):
             handler(self, message, channel)
 
@@ -625,18 +599,6 @@ _HANDLERS: dict[str, Callable[[SimVehicle, Any, Channel], None]] = {
     "MISSION_CLEAR_ALL": SimVehicle._on_mission_write,
     "TIMESYNC": SimVehicle._on_timesync,
 }
-
-_LOGGED = frozenset(
-    (
-        "COMMAND_LONG",
-        "COMMAND_INT",
-        "SET_MODE",
-        "SET_POSITION_TARGET_GLOBAL_INT",
-        "SET_POSITION_TARGET_LOCAL_NED",
-        "REQUEST_DATA_STREAM",
-        "PARAM_SET",
-    )
-)
 
 #: What a REQUEST_DATA_STREAM asks for, by stream.
 STREAMS: dict[int, tuple[int, ...]] = {
