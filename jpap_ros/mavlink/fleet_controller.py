@@ -32,6 +32,8 @@ from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT
 HEARTBEAT_S = 1.0
 #: Least rate at which every aircraft is looked after [Hz].
 TICK_HZ = 10.0
+#: Messages taken in before a look at what is due.
+PACKETS_AT_ONCE = 50
 #: How long an orderly stop waits for PX4 to answer the switch to Hold [s].
 PARTING_S = 2.0
 
@@ -138,6 +140,7 @@ class FleetController:
         self.failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
         self._heartbeat_at = 0.0
+        self._tick_due_at = 0.0
         self._link_reports: tuple[LinkReport, ...] = ()
         self._tick_s = 1.0 / max(TICK_HZ, settings.aircraft.setpoint_rate_hz)
         try:
@@ -261,21 +264,33 @@ class FleetController:
             self._on_failure()
 
     def _cycle(self) -> None:
-        now = time.monotonic()
-        due = min(min(m.tick_at for m in self._members.values()), self._heartbeat_at)
-        for packet in self._hub.poll(0.0 if self._calls else max(0.0, due - now)):
-            self._receive(packet)
+        wait_s = 0.0 if self._calls else max(0.0, self._next_due() - time.monotonic())
+        packets = self._hub.poll(wait_s)
+        for start in range(0, len(packets), PACKETS_AT_ONCE):
+            # What is due does not wait for a heap of telemetry.
+            self._serve()
+            for packet in packets[start : start + PACKETS_AT_ONCE]:
+                self._receive(packet)
+        self._serve()
+
+    def _next_due(self) -> float:
+        return min(self._tick_due_at, self._heartbeat_at)
+
+    def _serve(self) -> None:
+        """Do what was asked for by other threads, and what time asks for."""
         while self._calls:
             self._calls.popleft()(time.monotonic())
         now = time.monotonic()
         if now >= self._heartbeat_at:
             self._heartbeat_at = now + HEARTBEAT_S
             self._beat()
-            self._link_reports = tuple(LinkReport.of(link, now) for link in self._hub.links)
+        if now < self._tick_due_at:
+            return
         for member in self._members.values():
             if now >= member.tick_at:
                 member.tick_at = max(member.tick_at + self._tick_s, now)
                 self._tick(member, now)
+        self._tick_due_at = min(m.tick_at for m in self._members.values())
 
     def _beat(self) -> None:
         beat = mavlink.MAVLink_heartbeat_message(
