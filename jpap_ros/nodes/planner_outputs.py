@@ -48,7 +48,9 @@ class PlannerOutputs:
         self._deployment.publish(
             conversions.deployment_message(plan, header, plan_id, reason, altitude_m, planning_time_s)
         )
-        for cell in plan.cells:
+        # Then those that have something new to do; the others only learn that their goal belongs to this plan.
+        known = {(cell.uav, cell.position, cell.device_ids) for cell in before.cells} if before is not None else set()
+        for cell in sorted(plan.cells, key=lambda cell: (cell.uav, cell.position, cell.device_ids) in known):
             if cell.uav:
                 self._goals[cell.uav].publish(conversions.goal_pose(cell, header, altitude_m))
                 self._powers[cell.uav].publish(conversions.power_allocation(cell.uav, cell, header, plan_id))
