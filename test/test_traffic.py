@@ -1,0 +1,168 @@
+"""Traffic control over time.
+
+Oracle: distances between all aircraft at every simulated instant, measured here; the aircraft follow their setpoints
+exactly, but for those that drop out, which stay where they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from jpap_ros.fleet.traffic import TrafficControl, Traveller
+from jpap_ros.fleet.transit_plan import TransitLimits
+
+LIMITS = TransitLimits(min_separation_m=10.0, tracking_error_m=1.0)
+STEP_S = 0.1
+Vector = tuple[float, float, float]
+
+
+class World:
+    """Aircraft that fly what traffic control says."""
+
+    def __init__(self, control: TrafficControl, places: dict[str, Vector]) -> None:
+        self.control = control
+        self.now = 0.0
+        self.places = dict(places)
+        self.goals: dict[str, Vector | None] = dict.fromkeys(places)
+        self.obeys = dict.fromkeys(places, True)
+        self.nearest = math.inf
+
+    def step(self) -> None:
+        fleet = {
+            name: Traveller(place, self.obeys[name], True, self.goals[name], self.now)
+            for name, place in self.places.items()
+        }
+        self.control.step(self.now, fleet)
+        self.now += STEP_S
+        for name in self.places:
+            if self.obeys[name]:
+                setpoint = self.control.setpoint(name, self.now)
+                assert setpoint is not None
+                self.places[name] = setpoint.position
+        pairs = combinations(self.places.values(), 2)
+        self.nearest = min(self.nearest, min((math.dist(a, b) for a, b in pairs), default=math.inf))
+
+    def run(self, until: Callable[[], bool], limit_s: float = 600.0) -> bool:
+        end = self.now + limit_s
+        while self.now < end:
+            self.step()
+            if until():
+                return True
+        return False
+
+    def at(self, name: str) -> bool:
+        """Whether an aircraft is at its goal, has none, or does not obey."""
+        goal = self.goals[name]
+        return goal is None or not self.obeys[name] or math.dist(self.places[name], goal) < 1e-2
+
+    def at_goals(self) -> bool:
+        return all(self.at(name) for name in self.places)
+
+
+@pytest.fixture
+def control() -> Iterator[TrafficControl]:
+    made = TrafficControl(LIMITS)
+    yield made
+    made.close()
+
+
+def test_two_swap_places_and_keep_apart(control: TrafficControl) -> None:
+    world = World(control, {"a": (0.0, 0.0, 50.0), "b": (100.0, 0.0, 50.0)})
+    world.goals = {"a": (100.0, 0.0, 50.0), "b": (0.0, 0.0, 50.0)}
+    assert world.run(world.at_goals)
+    assert world.nearest >= 10.0
+    assert control.held("a") == control.held("b") == ""
+
+
+def test_a_new_goal_on_the_way_stops_the_aircraft_softly_and_leads_on(control: TrafficControl) -> None:
+    world = World(control, {"a": (0.0, 0.0, 50.0), "b": (0.0, 300.0, 50.0)})
+    world.goals = {"a": (400.0, 0.0, 50.0), "b": (400.0, 300.0, 50.0)}
+    world.run(lambda: world.places["a"][0] > 100.0)
+    other_before = world.places["b"]
+    world.goals["a"] = (100.0, -200.0, 50.0)
+    speeds = []
+    for _ in range(30):
+        before = world.places["a"]
+        world.step()
+        speeds.append(math.dist(before, world.places["a"]) / STEP_S)
+    # The greatest acceleration is that of the limits, whatever happens.
+    assert np.abs(np.diff(speeds)).max() <= LIMITS.acceleration_m_s2 * STEP_S * 1.05
+    assert world.places["b"][0] - other_before[0] == pytest.approx(30 * STEP_S * LIMITS.speed_m_s, rel=1e-6), (
+        "b flies on"
+    )
+    assert world.run(world.at_goals)
+
+
+def test_a_convoy_stops_when_a_member_is_taken_over_and_then_goes_round_it(control: TrafficControl) -> None:
+    world = World(control, {"a": (0.0, 0.0, 50.0), "b": (100.0, 0.0, 50.0)})
+    world.goals = {"a": (100.0, 0.0, 50.0), "b": (0.0, 0.0, 50.0)}
+    world.run(lambda: world.places["b"] != (100.0, 0.0, 50.0) or world.places["a"] != (0.0, 0.0, 50.0))
+    world.obeys["b"] = False
+    world.goals["a"] = (150.0, 0.0, 50.0)
+    assert world.run(world.at_goals)
+    assert world.nearest >= 10.0
+
+
+def test_an_aircraft_far_from_its_setpoint_stops_its_convoy(control: TrafficControl) -> None:
+    fleet = {"a": Traveller((0.0, 0.0, 50.0), True, True, (500.0, 0.0, 50.0), 0.0)}
+    control.step(0.0, fleet)
+    ahead = control.setpoint("a", 20.0)
+    assert ahead is not None and ahead.position[0] > 50.0, "on its way"
+    # 20 s later it still says it is where it was, though it should have been far ahead.
+    control.step(20.0, {"a": Traveller((0.0, 0.0, 50.0), True, True, (500.0, 0.0, 50.0), 20.0)})
+    stopped = control.setpoint("a", 30.0)
+    assert stopped is not None
+    # From cruising speed it takes v^2 / 2a to stop.
+    braking_m = LIMITS.speed_m_s**2 / (2 * LIMITS.acceleration_m_s2)
+    assert stopped.position[0] == pytest.approx(ahead.position[0] + braking_m, abs=1e-6)
+    assert stopped.velocity == pytest.approx((0.0, 0.0, 0.0))
+
+
+def test_an_obstacle_above_a_goal_holds_the_aircraft_and_says_who_it_is(control: TrafficControl) -> None:
+    fleet = {
+        "a": Traveller((0.0, 0.0, 50.0), True, True, (100.0, 0.0, 50.0), 0.0),
+        "stranger": Traveller((100.0, 0.0, 60.0), False, True),
+    }
+    for step in range(20):
+        control.step(step * STEP_S, fleet)
+    assert "stranger" in control.held("a")
+    assert control.setpoint("stranger", 1.0) is None
+    # It goes on by itself when the way is free.
+    for step in range(20, 60):
+        control.step(step * STEP_S, {"a": fleet["a"]})
+    assert control.held("a") == ""
+    assert control.setpoint("a", 60.0).position != (0.0, 0.0, 50.0)  # type: ignore[union-attr]
+
+
+#: Quick aircraft, so that a story is told in few steps.
+QUICK = TransitLimits(10.0, 1.0, speed_m_s=20.0, vertical_speed_m_s=10.0, acceleration_m_s2=10.0)
+GRID = [(40.0 * i, 40.0 * j, 50.0) for i in range(5) for j in range(5)]
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_nobody_comes_close_whatever_changes_when(data: st.DataObject) -> None:
+    control = TrafficControl(QUICK)
+    try:
+        count = data.draw(st.integers(2, 7))
+        names = [f"u{i}" for i in range(count)]
+        starts = data.draw(st.permutations(GRID))[:count]
+        world = World(control, dict(zip(names, starts, strict=True)))
+        for _ in range(data.draw(st.integers(1, 4))):
+            goals = data.draw(st.permutations(GRID))[:count]
+            world.goals = dict(zip(names, goals, strict=True))
+            if data.draw(st.booleans()):
+                world.obeys[data.draw(st.sampled_from(names))] = False
+            world.run(lambda: False, data.draw(st.floats(0.5, 8.0)))
+        # Aircraft that stay where they dropped out may stand in the way of a goal; nobody else may be left over.
+        assert world.run(lambda: all(world.at(name) or control.held(name) for name in names), 400.0)
+        assert world.nearest >= 10.0 - 1e-6
+    finally:
+        control.close()
