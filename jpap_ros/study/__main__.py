@@ -27,7 +27,7 @@ EXAMPLES = """examples:
   scripts/study --max-devices 4 --out out/four  with a limit of four devices a UAV (6e)
 
 Interrupt at will: a second run does only what is missing. The results are results.csv (one row a trial), report.md and
-the figures (PNG and SVG)."""
+the figures (PNG and SVG); report and figures show all that results.csv holds, from earlier runs as well."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

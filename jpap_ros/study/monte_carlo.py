@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from jpap_ros.planning import solve
-from jpap_ros.study.rows import Row, RowWriter, Trial, read_rows, write_sorted
+from jpap_ros.study.rows import Row, RowWriter, Trial, read_rows, write_rows
 from jpap_ros.study.scenario import Scenario
 
 
@@ -49,7 +49,7 @@ def run_study(
     time_limit_s: float | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Row]:
-    """Run every trial that the results file lacks; return the rows of all the trials asked for.
+    """Run every trial that the results file lacks; return all the rows that it then has.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def run_study(
     Returns
     -------
     list of Row
-        Ordered by trial.
+        Ordered by trial; those of earlier runs that added other trials to the file are among them.
 
     Raises
     ------
@@ -88,8 +88,9 @@ def run_study(
             have[row.trial] = row
             done += 1
             progress(done, len(wanted))
-    write_sorted(path, have.values())
-    return [have[trial] for trial in wanted]
+    rows = [have[trial] for trial in sorted(have)]
+    write_rows(path, rows)
+    return rows
 
 
 def _run(task: Callable[[Trial], Row], trials: Sequence[Trial], workers: int) -> Iterator[Row]:

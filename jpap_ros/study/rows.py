@@ -110,13 +110,13 @@ class RowWriter:
         self._file.flush()
 
 
-def write_sorted(path: Path, rows: Iterable[Row]) -> None:
-    """Replace the file by the rows in the order of their trials, at once or not at all."""
+def write_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Replace the file by the rows, at once or not at all."""
     draft = path.with_suffix(".tmp")
     with draft.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
-        writer.writerows(_cells(row) for row in sorted(rows, key=lambda row: row.trial))
+        writer.writerows(_cells(row) for row in rows)
     draft.replace(path)
 
 
