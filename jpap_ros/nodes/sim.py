@@ -20,7 +20,7 @@ from jpap_ros.sim.schedule import FAULTS, FaultSchedule
 _FAULT_PERIOD_S = 0.1
 
 
-def _parameters() -> tuple[Param, ...]:
+def sim_parameters() -> tuple[Param, ...]:
     """Return every parameter of the node."""
     faults = f"Faults to strike: '<seconds> <uav> <fault> [argument]'; fault: {', '.join(FAULTS)}"
     return (
@@ -44,7 +44,7 @@ class SimNode(Node):
         # First, because rclpy destroys a node whose making was refused.
         self._fleet: SimFleet | None = None
         super().__init__("sim")
-        params = _parameters()
+        params = sim_parameters()
         declare(self, params)
         settings = values(self, params)
         config = load_fleet(Path(settings["fleet_file"]))
@@ -80,11 +80,8 @@ class SimNode(Node):
             self.get_logger().error(f"sim/fault: {error}")
 
     def _strike(self) -> None:
-        try:
-            for fault in self._faults.strike(time.monotonic() - self._started):
-                self.get_logger().warning(f"fault: {fault.uav} {fault.fault} {fault.argument}".rstrip())
-        except ValueError as error:
-            self.get_logger().error(f"parameter faults: {error}")
+        for fault in self._faults.strike(time.monotonic() - self._started):
+            self.get_logger().warning(f"fault: {fault.uav} {fault.fault} {fault.argument}".rstrip())
 
     def _report(self) -> None:
         if self._fleet is not None and not self._fleet.running:
