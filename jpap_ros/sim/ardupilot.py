@@ -40,6 +40,7 @@ class ArduPilotVehicle(SimVehicle):
     """ArduCopter 4.6 as a peer sees it."""
 
     AUTOPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    MODE_NAMES = tuple(MODES)
     CAPABILITIES = (
         mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
         | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
@@ -119,7 +120,7 @@ class ArduPilotVehicle(SimVehicle):
         if now - self._gcs_heard > limit:
             self.failsafe = "GCS"
             self.say("GCS Failsafe", mavlink.MAV_SEVERITY_WARNING)
-            self._change_mode("RTL")
+            self.change_mode("RTL")
 
     # Modes
 
@@ -138,24 +139,19 @@ class ArduPilotVehicle(SimVehicle):
         if self.armed and name not in _NO_POSITION_NEEDED and not self.gps_ready:
             self.say(f"Mode change to {name} failed: requires position", mavlink.MAV_SEVERITY_WARNING)
             return False
-        self._change_mode(name)
+        self.change_mode(name)
         return True
 
-    def pilot_mode(self, mode: str) -> None:
-        """The pilot's switch."""
-        if mode not in MODES:
-            raise ValueError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
-        self._change_mode(mode)
-
-    def _change_mode(self, name: str) -> None:
-        if name == self._mode:
+    def change_mode(self, mode: str) -> None:
+        """Change to a mode that exists, and do what it does."""
+        if mode == self._mode:
             return
-        self._mode = name
+        self._mode = mode
         if not self.armed:
             return
-        if name == "LAND":
+        if mode == "LAND":
             self.land_here()
-        elif name == "RTL":
+        elif mode == "RTL":
             home = self.home if self.home is not None else self.body.position
             far = math.hypot(self.body.x - home[0], self.body.y - home[1])
             climb_to = home[2] + min(RTL_ALT_M, max(RTL_ALT_MIN_M, RTL_CONE_SLOPE * far))
@@ -237,7 +233,7 @@ class ArduPilotVehicle(SimVehicle):
             return DENIED
         if not self.gps_ready or not self.within_fence(goal):
             return FAILED
-        self._change_mode("GUIDED")
+        self.change_mode("GUIDED")
         if self.armed:
             self._fly_to(goal, None)
         return ACCEPTED
@@ -271,7 +267,7 @@ class ArduPilotVehicle(SimVehicle):
         self.say(f"Battery 1 is {level}", mavlink.MAV_SEVERITY_WARNING)
         self.say("Battery Failsafe", mavlink.MAV_SEVERITY_WARNING)
         if self._mode != "LAND":
-            self._change_mode(mode)
+            self.change_mode(mode)
 
     def disarmed(self) -> None:
         """The mode stays."""

@@ -42,6 +42,7 @@ class Px4Vehicle(SimVehicle):
     """PX4 1.15 as a peer sees it."""
 
     AUTOPILOT = mavlink.MAV_AUTOPILOT_PX4
+    MODE_NAMES = tuple(MODES)
     CAPABILITIES = (
         mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
         | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
@@ -139,7 +140,7 @@ class Px4Vehicle(SimVehicle):
             shown = "mode" if name is None else name.capitalize()
             self.say(f"Switching to mode '{shown}' is currently not possible", mavlink.MAV_SEVERITY_CRITICAL)
             return TEMPORARILY_REJECTED
-        self._change_mode(name)
+        self.change_mode(name)
         return ACCEPTED
 
     def _cannot_run(self, name: str) -> str | None:
@@ -153,16 +154,11 @@ class Px4Vehicle(SimVehicle):
         fresh = self.now - self._stream_last <= self.options.offboard_loss_s
         return fresh and self.now - self._stream_began >= self.options.offboard_proof_s
 
-    def pilot_mode(self, mode: str) -> None:
-        """The pilot's switch."""
-        if mode not in MODES:
-            raise ValueError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
-        self._change_mode(mode)
-
-    def _change_mode(self, name: str) -> None:
-        if name == self._mode:
+    def change_mode(self, mode: str) -> None:
+        """Change to a mode that exists, and do what it does."""
+        if mode == self._mode:
             return
-        self._mode = name
+        self._mode = mode
         if self.armed:
             self._fly_mode()
 
@@ -312,13 +308,13 @@ class Px4Vehicle(SimVehicle):
         if self._mode == "OFFBOARD" and now - self._stream_last > self.options.offboard_loss_s:
             self.failsafe = "OFFBOARD"
             self.say("Failsafe activated: No offboard signal", mavlink.MAV_SEVERITY_CRITICAL)
-            self._change_mode(self.options.offboard_loss_mode)
+            self.change_mode(self.options.offboard_loss_mode)
         limit = self.options.gcs_failsafe_s
         missing = limit is not None and self._gcs_heard is not None and now - self._gcs_heard > limit
         if missing and not self.on_ground and self.failsafe != "GCS":
             self.failsafe = "GCS"
             self.say("Failsafe activated: GCS connection lost", mavlink.MAV_SEVERITY_CRITICAL)
-            self._change_mode("RTL")
+            self.change_mode("RTL")
 
     def _watch_battery(self) -> None:
         if self.battery <= 0.5 * self.options.battery_critical:
@@ -332,7 +328,7 @@ class Px4Vehicle(SimVehicle):
         self.failsafe = failsafe
         self.say(f"{level} battery, {mode.lower()}ing", mavlink.MAV_SEVERITY_CRITICAL)
         if self._mode != "LAND":
-            self._change_mode(mode)
+            self.change_mode(mode)
 
     def disarmed(self) -> None:
         """Modes that prevent arming give way to Hold."""

@@ -9,34 +9,54 @@ from dataclasses import dataclass
 from jpap_ros.sim.fleet import SimFleet
 from jpap_ros.sim.vehicle import SimVehicle
 
-
-def _silence(vehicle: SimVehicle, argument: str) -> None:
-    vehicle.silent = _SWITCH[argument or "on"]
+Strike = Callable[[SimVehicle], None]
 
 
-def _battery(vehicle: SimVehicle, argument: str) -> None:
-    vehicle.set_battery(float(argument))
+def _switch(fault: str, argument: str) -> bool:
+    if argument not in ("", "on", "off"):
+        raise ValueError(f"{fault} needs on or off, got {argument!r}")
+    return argument != "off"
 
 
-def _prearm(vehicle: SimVehicle, argument: str) -> None:
-    vehicle.prearm_failure = argument or None
+def _silence(vehicle: SimVehicle, argument: str) -> Strike:
+    silent = _switch("silence", argument)
+    return lambda struck: setattr(struck, "silent", silent)
 
 
-def _refuse_arming(vehicle: SimVehicle, argument: str) -> None:
-    vehicle.refuse_arming = _SWITCH[argument or "on"]
+def _refuse_arming(vehicle: SimVehicle, argument: str) -> Strike:
+    refuse = _switch("refuse_arming", argument)
+    return lambda struck: setattr(struck, "refuse_arming", refuse)
 
 
-_SWITCH = {"on": True, "off": False}
+def _prearm(vehicle: SimVehicle, argument: str) -> Strike:
+    return lambda struck: setattr(struck, "prearm_failure", argument or None)
 
-#: What can strike a vehicle, by name.
-FAULTS: dict[str, Callable[[SimVehicle, str], None]] = {
+
+def _battery(vehicle: SimVehicle, argument: str) -> Strike:
+    try:
+        charge = float(argument)
+    except ValueError:
+        charge = math.nan
+    if not 0.0 <= charge <= 1.0:
+        raise ValueError(f"battery needs a charge from 0 to 1, got {argument!r}")
+    return lambda struck: struck.set_battery(charge)
+
+
+def _pilot(vehicle: SimVehicle, argument: str) -> Strike:
+    if argument not in vehicle.MODE_NAMES:
+        raise ValueError(f"pilot needs a mode, which must be one of {', '.join(vehicle.MODE_NAMES)}, got {argument!r}")
+    return lambda struck: struck.pilot_takes(argument)
+
+
+#: What can strike a vehicle, by name: each checks its argument for the vehicle and returns what to do to it.
+FAULTS: dict[str, Callable[[SimVehicle, str], Strike]] = {
     "silence": _silence,
     "battery": _battery,
     "prearm": _prearm,
     "refuse_arming": _refuse_arming,
-    "pilot": lambda vehicle, argument: vehicle.pilot_takes(argument),
-    "reboot": lambda vehicle, _: vehicle.reboot(),
-    "crash": lambda vehicle, _: vehicle.crash(),
+    "pilot": _pilot,
+    "reboot": lambda vehicle, _: SimVehicle.reboot,
+    "crash": lambda vehicle, _: SimVehicle.crash,
 }
 
 
@@ -85,27 +105,22 @@ class FaultSchedule:
     Raises
     ------
     ValueError
-        If a line is wrong or names no vehicle of the fleet.
+        If a line is wrong, names no vehicle of the fleet, or has an argument that its vehicle does not know.
     """
 
     def __init__(self, fleet: SimFleet, lines: Iterable[str]) -> None:
-        self._fleet = fleet
-        self._left: list[ScheduledFault] = []
-        for line in lines:
-            self.add(line)
-
-    def add(self, line: str) -> None:
-        """Add one fault; ValueError if the line is wrong or names no vehicle of the fleet."""
-        fault = ScheduledFault.parse(line)
-        if fault.uav not in self._fleet.vehicles:
-            raise ValueError(f"a fault names {fault.uav!r}, which is not in the fleet")
-        self._left.append(fault)
-        self._left.sort(key=lambda fault: fault.time_s)
+        self._left: list[tuple[ScheduledFault, SimVehicle, Strike]] = []
+        for fault in sorted((ScheduledFault.parse(line) for line in lines), key=lambda fault: fault.time_s):
+            vehicle = fleet.vehicles.get(fault.uav)
+            if vehicle is None:
+                raise ValueError(f"a fault names {fault.uav!r}, which is not in the fleet")
+            self._left.append((fault, vehicle, FAULTS[fault.fault](vehicle, fault.argument)))
 
     def strike(self, elapsed_s: float) -> list[ScheduledFault]:
-        """Let everything happen whose time has come; return it. ValueError if an argument is wrong."""
-        struck = [fault for fault in self._left if fault.time_s <= elapsed_s]
-        self._left = self._left[len(struck) :]
-        for fault in struck:
-            FAULTS[fault.fault](self._fleet[fault.uav], fault.argument)
+        """Let everything happen whose time has come; return it."""
+        struck = []
+        while self._left and self._left[0][0].time_s <= elapsed_s:
+            fault, vehicle, strike = self._left.pop(0)
+            strike(vehicle)
+            struck.append(fault)
         return struck

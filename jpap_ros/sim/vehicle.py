@@ -57,6 +57,7 @@ class SimVehicle(ABC):
     """
 
     AUTOPILOT: ClassVar[int]
+    MODE_NAMES: ClassVar[tuple[str, ...]]
     CAPABILITIES: ClassVar[int]
     FLIGHT_SW_VERSION: ClassVar[int]
     BOOT_RATES_HZ: ClassVar[Mapping[int, float]]
@@ -527,12 +528,14 @@ class SimVehicle(ABC):
 
     def pilot_takes(self, mode: str) -> None:
         """The pilot changes the mode with the remote control."""
+        if mode not in self.MODE_NAMES:
+            raise ValueError(f"mode must be one of {', '.join(self.MODE_NAMES)}, got {mode!r}")
         with self.lock:
-            self.pilot_mode(mode)
+            self.change_mode(mode)
 
     @abstractmethod
-    def pilot_mode(self, mode: str) -> None:
-        """Change the mode by name, whoever flies."""
+    def change_mode(self, mode: str) -> None:
+        """Change to a mode that exists, whoever flies."""
 
     def set_battery(self, charge: float) -> None:
         """Set the battery's charge, 0 to 1."""
