@@ -22,7 +22,7 @@ from jpap_ros.sim.ardupilot import ArduPilotVehicle
 from jpap_ros.sim.options import Fence
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
-COMMAND_INT_ONLY = 8
+COMMAND_LONG_ONLY, COMMAND_INT_ONLY = 7, 8
 ARM, TAKEOFF, SET_MODE = mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_DO_SET_MODE
 INTERVAL, REPOSITION = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_DO_REPOSITION
 GLOBAL, RELATIVE, GLOBAL_INT, RELATIVE_INT, TERRAIN_INT = 0, 3, 5, 6, 11
@@ -261,12 +261,25 @@ def test_reposition_is_acknowledged_flown_and_needs_the_flag_to_leave_another_mo
     set_mode(bench, "LOITER")
     wanted = bench.target(60.0, 80.0, 40.0, RELATIVE)
     there = {"x": wanted.lat_int, "y": wanted.lon_int, "z": 40.0}
-    assert bench.command(REPOSITION, -1, 1, 0, 0, -37.8, 144.9, 40) == COMMAND_INT_ONLY
     assert bench.command_int(REPOSITION, RELATIVE, -1, 0, 0, 0, **there) == DENIED
     assert bench.vehicle.mode == "LOITER"
     assert bench.command_int(REPOSITION, RELATIVE, -1, 1, 0, 0, **there) == ACCEPTED
     assert bench.vehicle.mode == "GUIDED"
     bench.run_until(lambda: bench.at(60.0, 80.0, 40.0))
+
+
+def test_reposition_as_command_long_is_above_mean_sea_level() -> None:
+    """Oracle: 60 m above mean sea level are 40 m above the ground; float32 degrees are good to a metre here."""
+    bench = ardupilot_in_the_air()
+    lat, lon = bench.frame.to_geodetic(60.0, 80.0)
+    assert bench.command(REPOSITION, -1, 1, 0, 0, lat, lon, 60) == ACCEPTED
+    bench.run_until(lambda: bench.at(60.0, 80.0, 40.0, within=1.5))
+
+
+def test_old_firmware_takes_a_command_in_one_kind_only() -> None:
+    bench = Bench(ArduPilotVehicle, int_only=frozenset({REPOSITION}), long_only=frozenset({TAKEOFF}))
+    assert bench.command(REPOSITION, -1, 1, 0, 0, -37.8, 144.9, 40) == COMMAND_INT_ONLY
+    assert bench.command_int(TAKEOFF, RELATIVE, 0, 0, 0, 0, x=0, y=0, z=15) == COMMAND_LONG_ONLY
 
 
 def test_reposition_out_of_the_fence_fails_and_changes_nothing() -> None:

@@ -218,9 +218,7 @@ class ArduPilotVehicle(SimVehicle):
             self.hold_here()
 
     def reposition(self, command: Command) -> int:
-        """Only as COMMAND_INT, and out of another mode only with the change-mode flag."""
-        if not command.is_int:
-            return int(mavlink.MAV_RESULT_COMMAND_INT_ONLY)
+        """Out of another mode only with the change-mode flag; as COMMAND_LONG the altitude is AMSL."""
         change = command.integer(2) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
         if self._mode != "GUIDED" and not change:
             return DENIED

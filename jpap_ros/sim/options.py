@@ -76,6 +76,9 @@ class VehicleOptions:
     refuse_arming : bool
         Pre-arm checks pass, and yet the arming command is refused.
     fence : Fence
+    int_only, long_only : frozenset of int
+        Commands that are taken only as COMMAND_INT or only as COMMAND_LONG, as old firmware does; the other kind is
+        answered with MAV_RESULT_COMMAND_INT_ONLY or MAV_RESULT_COMMAND_LONG_ONLY.
     gcs_sysid : int
         The ground station's system id, for `sysid_enforce` and `gcs_failsafe_s` (ArduPilot's MAV_GCS_SYSID).
     sysid_enforce : bool
@@ -105,6 +108,8 @@ class VehicleOptions:
     prearm_failure: str | None = None
     refuse_arming: bool = False
     fence: Fence = field(default_factory=Fence)
+    int_only: frozenset[int] = frozenset()
+    long_only: frozenset[int] = frozenset()
     gcs_sysid: int = 255
     sysid_enforce: bool = False
     gcs_failsafe_s: float | None = None

@@ -28,6 +28,8 @@ DENIED: int = mavlink.MAV_RESULT_DENIED
 FAILED: int = mavlink.MAV_RESULT_FAILED
 TEMPORARILY_REJECTED: int = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
+COMMAND_LONG_ONLY: int = mavlink.MAV_RESULT_COMMAND_LONG_ONLY
+COMMAND_INT_ONLY: int = mavlink.MAV_RESULT_COMMAND_INT_ONLY
 
 #: Share of the hovering current that idling motors draw.
 _IDLE_DRAIN = 0.1
@@ -280,7 +282,10 @@ class SimVehicle(ABC):
     def _on_command(self, message: Any, channel: Channel) -> None:
         command = Command.of(message)
         action = self._commands.get(command.command)
-        result = UNSUPPORTED if action is None else action(command, channel)
+        if command.command in (self.options.long_only if command.is_int else self.options.int_only):
+            result = COMMAND_LONG_ONLY if command.is_int else COMMAND_INT_ONLY
+        else:
+            result = UNSUPPORTED if action is None else action(command, channel)
         ack = mavlink.MAVLink_command_ack_message(command.command, result, 0, 0, *command.source)
         channel.put(ack)
         if command.command == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN and result == ACCEPTED:
