@@ -32,6 +32,8 @@ from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT
 HEARTBEAT_S = 1.0
 #: Least rate at which every aircraft is looked after [Hz].
 TICK_HZ = 10.0
+#: Room in one STATUSTEXT.
+STATUSTEXT_BYTES = 50
 #: Messages taken in before a look at what is due.
 PACKETS_AT_ONCE = 50
 #: How long an orderly stop waits for PX4 to answer the switch to Hold [s].
@@ -149,6 +151,8 @@ class FleetController:
             self._hub.close()
             raise
         own = (settings.sysid, COMPONENT_ID)
+        self._stations = links.stations
+        self._announced = 0
         self._forwarder = Forwarder(self._hub, own, links.stations)
         budgets = {link.url: _budget(link, settings.aircraft.setpoint_rate_hz) for link in config.vehicle_links}
         frame = LocalFrame(config.origin)
@@ -209,6 +213,15 @@ class FleetController:
     def planner_alive(self) -> None:
         """The planner gave a sign of life."""
         self._call(self._deadman.feed)
+
+    def announce(self, name: str, text: str) -> None:
+        """Tell the ground stations something about an aircraft, in words; KeyError if there is no such aircraft.
+
+        It goes out as STATUSTEXT from the onboard computer (component 191) of the aircraft's own system: ground
+        stations show no text of a system that is no vehicle. What is longer than 50 bytes is cut.
+        """
+        sysid = self._members[name].aircraft.config.sysid
+        self._call(lambda now: self._announce(sysid, text))
 
     def order(self, order: FleetOrder, names: list[str]) -> dict[str, Future[OrderResult]]:
         """Give an operator's order to some aircraft.
@@ -284,6 +297,7 @@ class FleetController:
         if now >= self._heartbeat_at:
             self._heartbeat_at = now + HEARTBEAT_S
             self._beat()
+            self._link_reports = tuple(LinkReport.of(link, now) for link in self._hub.links)
         if now < self._tick_due_at:
             return
         for member in self._members.values():
@@ -303,6 +317,16 @@ class FleetController:
         )
         for link in self._hub.links:
             self._hub.send(link, beat)
+
+    def _announce(self, sysid: int, text: str) -> None:
+        words = mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_INFO, text.encode()[:STATUSTEXT_BYTES])
+        packer = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=COMPONENT_ID)
+        self._announced += 1
+        for link in self._stations:
+            if link.options.signer is not None:
+                link.options.signer.sign(packer, link.index)
+            packer.seq = self._announced % 256
+            self._hub.forward(link, words.pack(packer), urgent=True)
 
     def _receive(self, packet: Packet) -> None:
         if not self._forwarder.on_packet(packet):
