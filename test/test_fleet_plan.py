@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
 from jpap_ros.fleet.naming import name_cells
 from jpap_ros.fleet.plan import PlanSettings, full_deployment, plan_change, plan_from_scratch, weigh
-from jpap_ros.planning import LinkBudget
+from jpap_ros.planning import SCHEMES, LinkBudget
 from jpap_ros.planning.devices import Device
 from jpap_ros.planning.replanning_decision import ReplanningPolicy
 from jpap_ros.planning.replanning_state import LivePlan
@@ -200,6 +200,7 @@ def test_a_plan_from_scratch_is_flown_only_where_it_is_worth_it():
     assert taken.adopted and taken.plan.from_scratch
     assert len(taken.plan.cells) == len(full.uav_positions) == taken.plan.min_uavs_bound
     assert taken.plan.proven_optimal and taken.plan.gap == 0.0
+    assert taken.plan.average_uav_rate_bound == pytest.approx(full.average_uav_rate_bound)
 
     left = weigh(full, devices, settings_, airborne(fleet), present, ReplanningPolicy(metre_cost=100.0))
     assert not left.adopted and left.plan.cells == present.cells
@@ -224,8 +225,34 @@ def test_the_quick_plan_of_a_slow_scheme_meets_every_demand():
             assert np.log2(1 + power * 1e-3 / distance2 / 1e-12) >= demand[name].rate_demand * (1 - 1e-9)
 
 
+EXTREMES = [
+    Device("d0", (0.0, 0.0), 1e308),
+    Device("d0", (0.0, 0.0), 1e-300),
+    Device("d0", (1e5, -1e5), RATE),
+    Device("d0", (0.0, 0.0), RATE, 1e300),
+    Device("d0", (0.0, 0.0), 1030.0),
+]
+
+
+@pytest.mark.parametrize("scheme", sorted(SCHEMES))
+@pytest.mark.parametrize("extreme", EXTREMES, ids=["huge", "tiny", "far", "heavy", "beyond"])
+def test_no_single_device_can_spoil_the_plan_for_the_others(scheme, extreme):
+    """A device that is served, and then reports an extreme that the table accepts: the checker finds nothing broken."""
+    devices, fleet = spread(3), [craft(f"u{i}", 10 * i, 0) for i in range(5)]
+    for bandwidth in (1.0, 1e-3):
+        how = PlanSettings(scheme=scheme, bandwidth_hz=bandwidth, time_limit_s=20.0)
+        before = plan_from_scratch([Device(d.id, d.position, d.rate_demand * bandwidth) for d in devices], how, fleet)
+        now = [extreme, *(Device(d.id, d.position, d.rate_demand * bandwidth) for d in devices[1:])]
+        for plan in (plan_change(now, how, fleet, before), plan_from_scratch(now, how, fleet)):
+            demands = how.demands(now)
+            live = plan.live.deployment(how.limits(len(fleet)))
+            assert live.violations(demands.positions, demands.rates, how.link) == []
+            served = {name for c in plan.cells for name in c.device_ids}
+            assert {"d1", "d2"} <= served and served | plan.unserved.keys() == {"d0", "d1", "d2"}
+
+
 def fleet_plan(cells=(), needed=0, bound=None, proven=False):
-    return FleetPlan(cells, LivePlan.empty(), {}, needed, bound, proven, SCHEME, {}, True)
+    return FleetPlan(cells, LivePlan.empty(), {}, needed, bound, proven, SCHEME, math.nan, {}, True)
 
 
 def test_the_summary_counts():

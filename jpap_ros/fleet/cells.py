@@ -85,6 +85,8 @@ class FleetPlan:
         Reason for each device that is left out.
     uavs_needed, min_uavs_bound, proven_optimal, scheme
         As in `jpap_ros.planning.Deployment`.
+    average_uav_rate_bound : float
+        Proven upper bound on `average_uav_rate` with this number of UAVs [bit/s]; NaN where none is known.
     interrupted : mapping of str to str
         Devices whose guaranteed rate is interrupted by the change to this plan, and why.
     from_scratch : bool
@@ -98,6 +100,7 @@ class FleetPlan:
     min_uavs_bound: int | None
     proven_optimal: bool
     scheme: str
+    average_uav_rate_bound: float
     interrupted: Mapping[str, str]
     from_scratch: bool
 

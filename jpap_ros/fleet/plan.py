@@ -25,6 +25,10 @@ SLOW_SCHEMES = frozenset({"optimal"})
 
 _QUICK_SCHEME = "jpap"
 
+#: Demands are planned for within these limits [bit/s/Hz]: below is nothing to share out, above is far beyond any link,
+#: and 2^r is still a number.
+_DEMAND_RANGE = (1e-6, 500.0)
+
 #: What a plan from scratch must gain while no aircraft is in the air: more than rounding.
 _GROUND_TOLERANCE = 0.01
 
@@ -57,10 +61,11 @@ class PlanSettings:
 
     def demands(self, devices: Sequence[Device]) -> Demands:
         """Return the devices with their demands in bit/s/Hz."""
+        lowest, highest = _DEMAND_RANGE
         return Demands.of(
             tuple(device.id for device in devices),
             np.array([device.position for device in devices], dtype=np.float64).reshape(-1, 2),
-            np.array([device.rate_demand for device in devices], dtype=np.float64) / self.bandwidth_hz,
+            [min(max(device.rate_demand / self.bandwidth_hz, lowest), highest) for device in devices],
             np.array([device.weight for device in devices], dtype=np.float64),
         )
 
@@ -142,8 +147,8 @@ def plan_from_scratch(
         lost = _lost_cells(present, available, demands)
         base = replan(present.live, demands, limits, lost).plan
         live = consider(full, base, demands, limits, lost_cells=lost).change.plan
-    if slow or len(live.cells) > len(available):
-        # The quick scheme's cells, with the power rule of the scheme that was asked for; no more than there are UAVs.
+    if slow:
+        # The quick scheme's cells, with the power rule of the scheme that was asked for.
         live = replan(live, demands, limits).plan
     interrupted = compare(present.live, live, limits).interrupted if present is not None else {}
     holders = present.names if present is not None else {}
@@ -181,8 +186,21 @@ def weigh(
         plan = named_plan(change.plan, settings, available, present.names, full=full, interrupted=change.interrupted)
         return Weighed(plan, True, decision.reason)
     bound = full.min_uavs_bound
-    plan = replace(present, min_uavs_bound=bound, proven_optimal=bound is not None and bound == present.uavs_needed)
+    alike = len(present.cells) == len(full.uav_positions) and len(present.unserved) == len(full.unserved) == 0
+    plan = replace(
+        present,
+        min_uavs_bound=bound,
+        proven_optimal=bound is not None and bound == present.uavs_needed,
+        average_uav_rate_bound=_rate_bound(full, settings) if alike else math.nan,
+    )
     return Weighed(plan, False, decision.reason)
+
+
+def _rate_bound(full: Deployment | None, settings: PlanSettings) -> float:
+    """Bound on the average UAV rate [bit/s]; NaN where none is known."""
+    if full is None or full.average_uav_rate_bound is None:
+        return math.nan
+    return settings.bandwidth_hz * full.average_uav_rate_bound
 
 
 def _lost_cells(present: FleetPlan, available: Sequence[Aircraft], demands: Demands) -> list[int]:
@@ -245,6 +263,7 @@ def named_plan(
         uavs_needed=live.uavs_needed,
         min_uavs_bound=None if full is None else full.min_uavs_bound,
         proven_optimal=full is not None and full.proven_optimal,
+        average_uav_rate_bound=_rate_bound(full, settings),
         scheme=settings.scheme,
         interrupted=interrupted or {},
         from_scratch=full is not None,

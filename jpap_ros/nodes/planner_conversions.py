@@ -109,7 +109,7 @@ def deployment_message(
         proven_optimal=plan.proven_optimal,
         gap=plan.gap,
         average_uav_rate=plan.average_uav_rate,
-        average_uav_rate_bound=math.nan,
+        average_uav_rate_bound=plan.average_uav_rate_bound,
         interrupted=list(plan.interrupted),
         planning_time=_duration(planning_time_s),
     )
