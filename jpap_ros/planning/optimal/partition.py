@@ -17,7 +17,7 @@ from jpap_ros.planning.optimal.servability import Bools, Ints, Servability, Sets
 
 #: Prices below this count as zero [bit/s/Hz].
 _PRICE_TOLERANCE = 1e-6
-_REFINED_AT_A_TIME = 4000
+_REFINED_AT_A_TIME = 500
 _FIRST_COLUMNS_PER_DEVICE = 8
 
 

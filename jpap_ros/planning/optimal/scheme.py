@@ -125,10 +125,13 @@ class _Solver:
     def _hover(self, cells: list[Ints]) -> Partition:
         """The cells as they are, each from its best position."""
         hover = best_positions(self.servability, cells, self.servability.measure_all(cells), self.power_eta)
-        return Partition(cells, hover.position, hover.rate, math.inf, math.inf)
+        bound = float(hover.bound[0]) if len(cells) == 1 else math.inf
+        return Partition(cells, hover.position, hover.rate, bound, math.inf)
 
     def _largest_rate(self, cells: list[Ints], limited: bool) -> Partition:
         """Re-partition the devices of these cells into as many cells of the largest rate."""
+        if len(cells) == 1:
+            return self._hover(cells)
         devices = np.concatenate(cells)
         part = self.servability.subset(devices)
         number = np.full(len(self.servability), -1)
