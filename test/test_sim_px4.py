@@ -224,6 +224,20 @@ def test_a_second_after_the_stream_stopped_the_failsafe_takes_over(after: str) -
     assert bench.vehicle.mode == after, "the stream alone does not bring OFFBOARD back"
 
 
+def test_offboard_may_resume_with_the_stream_unless_another_mode_was_chosen() -> None:
+    bench = px4_in_the_air(offboard_resumes=True)
+    stream = offboard(bench, bench.target(500.0, 0.0, GROUND + 20.0, GLOBAL_INT))
+    bench.run(2.0)
+    assert bench.vehicle.mode == "HOLD"
+    bench.run(2.0, stream)
+    assert bench.vehicle.mode == "OFFBOARD"
+    assert bench.vehicle.failsafe is None
+    bench.run(2.0)
+    assert bench.command(SET_MODE, 1, *PX4_HOLD) == ACCEPTED
+    bench.run(2.0, stream)
+    assert bench.vehicle.mode == "HOLD"
+
+
 def test_in_offboard_the_echo_is_local_and_not_global() -> None:
     """Oracle: the global one is the navigator's, which rests in OFFBOARD; local is north, east, down."""
     bench = px4_in_the_air()

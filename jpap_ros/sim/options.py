@@ -92,6 +92,8 @@ class VehicleOptions:
         source asks only for one fresh target, which 0 stands for.
     offboard_loss_mode : str
         Where PX4 goes then: `HOLD`, `RTL` or `LAND`.
+    offboard_resumes : bool
+        Whether OFFBOARD comes back by itself with the stream, unless another mode was asked for meanwhile.
     signing_key : bytes or None
         32 bytes; frames out are signed, and unsigned or badly signed frames in are dropped.
     link_faults : LinkFaults
@@ -116,6 +118,7 @@ class VehicleOptions:
     offboard_loss_s: float = 1.0
     offboard_proof_s: float = 1.0
     offboard_loss_mode: str = "HOLD"
+    offboard_resumes: bool = False
     signing_key: bytes | None = None
     link_faults: LinkFaults = field(default_factory=LinkFaults)
     geoid_separation_m: float = 25.0

@@ -140,6 +140,8 @@ class Px4Vehicle(SimVehicle):
             shown = "mode" if name is None else name.capitalize()
             self.say(f"Switching to mode '{shown}' is currently not possible", mavlink.MAV_SEVERITY_CRITICAL)
             return TEMPORARILY_REJECTED
+        if self.failsafe == "OFFBOARD":
+            self.failsafe = None
         self.change_mode(name)
         return ACCEPTED
 
@@ -264,6 +266,9 @@ class Px4Vehicle(SimVehicle):
         if self.now - self._stream_last > self.options.offboard_loss_s:
             self._stream_began = self.now
         self._stream_last = self.now
+        if self.failsafe == "OFFBOARD" and self.options.offboard_resumes and self._stream_proven():
+            self.failsafe = None
+            self.change_mode("OFFBOARD")
         if self._mode != "OFFBOARD" or not self.armed:
             return
         if self.on_ground and goal is not None and goal[2] > _LIFT_OFF_M:
