@@ -75,11 +75,13 @@ def polling(vehicles: int, links: int, rate_hz: float, seconds: float) -> tuple[
     packer = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
     frame = POSITION.pack(packer)
     with LinkHub(245) as hub:
-        urls = []
-        for _ in range(links):
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                probe.bind(("127.0.0.1", 0))
-                urls.append(LinkUrl("udpin", *probe.getsockname()))
+        # All held at once, or the system may give one port twice.
+        probes = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(links)]
+        for probe in probes:
+            probe.bind(("127.0.0.1", 0))
+        urls = [LinkUrl("udpin", *probe.getsockname()) for probe in probes]
+        for probe in probes:
+            probe.close()
         for url in urls:
             hub.open(url)
         sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(vehicles)]
