@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -83,6 +84,9 @@ class Rig:
         self._stack = stack
         self._free_ports = free_ports
         self.watch = Watch()
+
+    def ports(self, count: int) -> list[int]:
+        return self._free_ports(count)
 
     def fleet(self, count: int = 1, kind: str = "udpin", autopilot: str = "ardupilot", **uav: Any) -> FleetConfig:
         ports = self._free_ports(count)
@@ -468,6 +472,23 @@ def test_the_bridges_heartbeat(rig: Rig) -> None:
         assert (beat.get_srcSystem(), beat.get_srcComponent()) == (245, 191)
         assert (beat.type, beat.autopilot) == (mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID)
     assert times[2] - times[0] > 1.5, "1 Hz"
+
+
+def test_ground_stations_are_told_in_words_by_the_aircrafts_onboard_computer(rig: Rig) -> None:
+    """Oracle: STATUSTEXT as pymavlink reads it from a plain socket; the text and its 50 bytes by hand."""
+    (port,) = rig.ports(1)
+    fleet = replace(rig.fleet(), gcs_urls=(LinkUrl("udpout", "127.0.0.1", port),))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+        station.bind(("127.0.0.1", port))
+        station.settimeout(PATIENCE_S)
+        rig.control(fleet).announce("uav1", "Plan 7: " + "x" * 100)
+        parser = mavlink.MAVLink(None)
+        heard: list[Any] = []
+        while not any(message.get_type() == "STATUSTEXT" for message in heard):
+            heard += parser.parse_buffer(station.recv(2048)) or []
+    (words,) = [message for message in heard if message.get_type() == "STATUSTEXT"]
+    assert (words.get_srcSystem(), words.get_srcComponent()) == (1, 191)
+    assert words.text == "Plan 7: " + "x" * 42
 
 
 def test_an_own_system_id_that_is_a_vehicles_is_refused(rig: Rig) -> None:

@@ -39,7 +39,7 @@ class MavProxy:
                 stdout=sink,
                 stderr=subprocess.STDOUT,
                 cwd=folder,
-                env={**os.environ, "HOME": str(folder), "TERM": "dumb"},
+                env={**os.environ, "HOME": str(folder), "TERM": "dumb", "PYTHONUNBUFFERED": "1"},
                 start_new_session=True,
                 text=True,
             )

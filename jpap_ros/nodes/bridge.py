@@ -51,6 +51,8 @@ class BridgeNode(Node):
         fleet = load_fleet(settings["fleet_file"])
         self._map_frame: str = settings["map_frame"]
         self._use_yaw: bool = settings["use_goal_yaw"]
+        self._announce_plans: bool = settings["announce_plans"]
+        self._announced = 0
         self._names = fleet.names
         self._book = GoalBook()
         self._fresh: dict[str, AircraftSnapshot] = {}
@@ -118,6 +120,14 @@ class BridgeNode(Node):
         self._book.put_plan((stamp.sec, stamp.nanosec), message.plan_id, [cell.uav for cell in message.cells])
         for name in self._names:
             self._follow_book(name)
+        if self._announce_plans and message.plan_id != self._announced:
+            self._announced = message.plan_id
+            for cell in message.cells:
+                if cell.uav in self._names:
+                    goal = cell.goal_pose.position
+                    where = f"{goal.x:.0f} E {goal.y:.0f} N {goal.z:.0f} m up"
+                    devices = len(cell.device_ids)
+                    self._controller.announce(cell.uav, f"Plan {message.plan_id}: {devices} devices, {where}")
 
     def _follow_book(self, name: str) -> None:
         assert self._controller is not None
