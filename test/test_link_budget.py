@@ -44,6 +44,8 @@ def test_small_demands_lose_no_digits() -> None:
     # 2^r - 1 = r ln 2 (1 + r ln 2 / 2 + ...) for a small r.
     r = 1e-12
     assert snr_demand(r) == pytest.approx(r * math.log(2), rel=1e-11)
+    power = snr_demand(r) * LINK.altitude_m**2 / LINK.eta
+    assert LINK.rate(power, 0.0) == pytest.approx(r, rel=1e-12)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, "40", None])

@@ -13,14 +13,13 @@ UAV as long as one position serves them all; then the next UAV. Where the text l
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from jpap_ros.planning.allocation import EPA, EPA_COMMON, QDPA, Allocation
-from jpap_ros.planning.deployment import Deployment, make_deployment
+from jpap_ros.planning.cells import deploy
+from jpap_ros.planning.deployment import Deployment
 from jpap_ros.planning.placement import place
 from jpap_ros.planning.solver import Problem
 
@@ -58,9 +57,7 @@ def jpap_with(scheme: str, problem: Problem, allocation: Allocation, *, skip_inf
         Leave out a device that cannot be added and go on with the next nearest. The listing (step 9) stops there.
     """
     devices = _Devices(problem)
-    cells, positions, radii = [], [], []
-    power = np.zeros(len(problem.rates))
-    demand = problem.snr_demand
+    cells, positions = [], []
     while (first := devices.dense_boundary_device()) is not None:
         cell = _Cell(devices, first, allocation)
         candidates = _Candidates(problem.positions, devices.near(first))
@@ -68,23 +65,10 @@ def jpap_with(scheme: str, problem: Problem, allocation: Allocation, *, skip_inf
             nearest = candidates.pop_nearest(cell.position)
             if nearest is None or not (cell.add(nearest) or skip_infeasible):
                 break
-        members = np.array(cell.members)
         devices.remove(cell.members)
-        cells.append(members)
+        cells.append(np.array(cell.members))
         positions.append(cell.position)
-        power[members] = allocation.powers(demand[members], problem.link)
-        radii.append(math.sqrt(min(cell.squared_radii)))
-    return make_deployment(
-        scheme,
-        problem.positions,
-        problem.rates,
-        problem.link,
-        cells,
-        positions,
-        power,
-        unserved={},
-        coverage_radius_m=radii if allocation.common_radius else None,
-    )
+    return deploy(problem, scheme, allocation, cells, positions)
 
 
 class _Devices:

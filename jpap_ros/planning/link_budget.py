@@ -79,7 +79,7 @@ class LinkBudget:
     def rate(self, power_w: ArrayLike, distance2: ArrayLike) -> Floats:
         """Rate [bit/s/Hz], equation (3), with a power [W] at a squared horizontal distance [m^2]."""
         snr = np.asarray(power_w, float) * self.eta / (np.asarray(distance2, float) + self.altitude_m**2)
-        rate: Floats = np.log2(1 + snr)
+        rate: Floats = np.log1p(snr) / math.log(2)
         return rate
 
     def coverage_radius(self, power_w: ArrayLike, rates: ArrayLike) -> Floats:
