@@ -1,0 +1,277 @@
+"""One aircraft in the bridge's care, on a fake clock with a fake wire.
+
+Oracle: what DESIGN.md and MAVLINK.md demand, stated in each test; messages are made by pymavlink.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from jpap_ros.fleet.config import MapOrigin, UavConfig
+from jpap_ros.mavlink import procedures
+from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings
+from jpap_ros.mavlink.geodesy import LocalFrame
+from jpap_ros.mavlink.goals import Goal, GoalState
+from jpap_ros.mavlink.guards import PlanDeadman
+from jpap_ros.mavlink.streams import WANTED, affordable_rates
+
+ORIGIN = MapOrigin(-37.8136, 144.9631, 20.0)
+VEHICLE = (1, 1)
+GUIDED, LOITER = 4, 5
+
+
+class Rig:
+    """An aircraft, its clock and its wire; commands are answered at once, as a perfect autopilot would."""
+
+    def __init__(self, config: UavConfig | None = None, answers: bool = True, **settings: Any) -> None:
+        self.now = 100.0
+        self.wire: list[Any] = []
+        self.deadman = PlanDeadman(0.0)
+        self.answers = answers
+        self.mode = GUIDED
+        self.aircraft = Aircraft(
+            config or UavConfig("uav1", 1, ()),
+            LocalFrame(ORIGIN),
+            AircraftSettings(**settings),
+            (245, 191),
+            self._send,
+            self.deadman,
+            {message_id: wanted.rate_hz for message_id, wanted in WANTED.items()},
+        )
+        self.done: list[tuple[bool, str]] = []
+
+    def _send(self, message: Any) -> None:
+        self.wire.append(message)
+        if self.answers and message.get_type().startswith("COMMAND"):
+            if message.command == mavlink.MAV_CMD_DO_SET_MODE:
+                self.mode = int(message.param2)
+            self.hear(mavlink.MAVLink_command_ack_message(message.command, 0, 0, 0, 245, 191))
+
+    def hear(self, message: Any, source: tuple[int, int] = VEHICLE) -> None:
+        self.aircraft.hear(message, source, self.now)
+
+    def heartbeat(self, autopilot: int = 3, kind: int = mavlink.MAV_TYPE_QUADROTOR, status: int = 4) -> None:
+        self.hear(mavlink.MAVLink_heartbeat_message(kind, autopilot, 0x81, self.mode, status, 3))
+
+    def position(self, east_m: float = 0.0, north_m: float = 0.0, up_m: float = 50.0) -> None:
+        lat, lon = LocalFrame(ORIGIN).to_geodetic(east_m, north_m)
+        up_mm = round(up_m * 1e3)
+        self.hear(
+            mavlink.MAVLink_global_position_int_message(
+                round(self.now * 1e3), round(lat * 1e7), round(lon * 1e7), 20_000 + up_mm, up_mm, 0, 0, 0, 0
+            )
+        )
+
+    def flying(self, home: bool = True) -> None:
+        """Everything that a healthy aircraft in the air says."""
+        self.heartbeat()
+        self.hear(mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 15_900, -1, 87, 0, 0, 0, 0, 0, 0))
+        self.hear(mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR))
+        if home:
+            lat, lon = round(ORIGIN.latitude * 1e7), round(ORIGIN.longitude * 1e7)
+            self.hear(mavlink.MAVLink_home_position_message(lat, lon, 20_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0))
+        self.position()
+
+    def run(self, seconds: float, position: bool = True) -> None:
+        for tenth in range(round(seconds * 10)):
+            self.now += 0.1
+            if tenth % 10 == 0:
+                self.heartbeat()
+            if position and tenth % 5 == 0:
+                self.position()
+            self.aircraft.tick(self.now)
+
+    def launched(self) -> Rig:
+        self.flying()
+        self.aircraft.run(procedures.launch(self.aircraft), lambda ok, text: self.done.append((ok, text)), "launch")
+        self.run(1.0)
+        assert self.done == [(True, "in the air already; flies its goals now")]
+        return self
+
+    @property
+    def targets(self) -> list[Any]:
+        return [m for m in self.wire if m.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"]
+
+    @property
+    def goal(self) -> tuple[GoalState, str]:
+        return self.aircraft.life.state, self.aircraft.life.reason
+
+
+def test_nothing_is_flown_before_a_launch_even_in_the_right_mode_and_in_the_air() -> None:
+    rig = Rig()
+    rig.flying()
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(5.0)
+    assert rig.targets == []
+    assert rig.goal == (GoalState.NONE, "waiting for bridge/launch")
+
+
+def test_targets_flow_at_the_rate_asked_for_and_a_new_goal_at_once() -> None:
+    rig = Rig(setpoint_rate_hz=2.0).launched()
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(0.1)
+    rig.wire.clear()
+    rig.run(10.0)
+    assert 19 <= len(rig.targets) <= 21
+    rig.wire.clear()
+    rig.aircraft.set_goal(Goal(0.0, 100.0, 50.0))
+    rig.aircraft.tick(rig.now)
+    assert len(rig.targets) == 1
+    lat, lon = LocalFrame(ORIGIN).to_geodetic(0.0, 100.0)
+    assert (rig.targets[0].lat_int, rig.targets[0].lon_int) == (round(lat * 1e7), round(lon * 1e7))
+
+
+def test_a_gap_in_positions_turns_nobody_back() -> None:
+    rig = Rig().launched()
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(2.0)
+    before = rig.targets[-1].lon_int
+    rig.wire.clear()
+    rig.run(8.0, position=False)
+    assert {m.lon_int for m in rig.targets} == {before}
+    assert rig.goal[0] is not GoalState.NONE
+
+
+def test_a_critical_vehicle_gets_no_goal_and_holds() -> None:
+    rig = Rig().launched()
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(1.0)
+    rig.heartbeat(status=mavlink.MAV_STATE_CRITICAL)
+    rig.wire.clear()
+    rig.aircraft.tick(rig.now)
+    assert rig.goal[0] is GoalState.REJECTED and "MAV_STATE 5" in rig.goal[1]
+    here = rig.aircraft.vehicle.position
+    assert here is not None
+    assert [(m.lat_int, m.alt) for m in rig.targets] == [(round(here.latitude * 1e7), 50.0)]
+
+
+def test_home_not_set_is_told_and_nothing_relative_to_it_is_sent() -> None:
+    rig = Rig()
+    rig.flying(home=False)
+    rig.aircraft.run(procedures.launch(rig.aircraft), lambda ok, text: rig.done.append((ok, text)), "launch")
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(35.0)
+    assert rig.done == [(False, "not ready: home is not set")]
+    assert rig.targets == []
+    assert any("home is not set" in problem for problem in rig.aircraft.problems())
+
+
+def test_a_wrong_altitude_datum_is_refused_before_anything_is_sent() -> None:
+    config = UavConfig("uav1", 1, (), altitude_datum="amsl")
+    rig = Rig(config)
+    rig.flying()
+    high = mavlink.MAVLink_home_position_message(1, 1, 408_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+    rig.hear(high)
+    rig.aircraft.run(procedures.launch(rig.aircraft), lambda ok, text: rig.done.append((ok, text)), "launch")
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(2.0)
+    assert rig.goal[0] is GoalState.REJECTED and "altitude datum" in rig.goal[1]
+    assert {m.alt for m in rig.targets} == {70.0}, "only the place where it holds, 70 m above mean sea level"
+    assert any("altitude datum" in problem for problem in rig.aircraft.problems())
+
+
+@pytest.mark.parametrize(
+    ("wanted", "autopilot", "kind", "served", "words"),
+    [
+        ("auto", 3, mavlink.MAV_TYPE_QUADROTOR, "ardupilot", ""),
+        ("auto", 12, mavlink.MAV_TYPE_HEXAROTOR, "px4", ""),
+        ("px4", 3, mavlink.MAV_TYPE_QUADROTOR, "", "its heartbeat says ardupilot, the fleet file px4"),
+        ("auto", 3, mavlink.MAV_TYPE_FIXED_WING, "", "not a multicopter"),
+        ("auto", 0, mavlink.MAV_TYPE_QUADROTOR, "", "MAV_AUTOPILOT 0"),
+        ("px4", 0, mavlink.MAV_TYPE_GENERIC, "px4", ""),
+    ],
+)
+def test_who_is_served(wanted: str, autopilot: int, kind: int, served: str, words: str) -> None:
+    rig = Rig(UavConfig("uav1", 1, (), autopilot=wanted))
+    rig.heartbeat(autopilot, kind)
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.aircraft.tick(rig.now)
+    assert (rig.aircraft.autopilot.name if rig.aircraft.autopilot else "") == served
+    assert words in rig.aircraft.identity_problem
+    assert bool(words) == (rig.goal[0] is GoalState.REJECTED)
+    assert bool(words) == (rig.wire == []), "an aircraft that is not served is not even asked for telemetry"
+
+
+def test_gimbals_and_companions_of_the_same_system_are_not_the_vehicle() -> None:
+    rig = Rig().launched()
+    rig.hear(mavlink.MAVLink_heartbeat_message(26, 8, 0, 0, 4, 3), (1, 154))
+    rig.hear(mavlink.MAVLink_heartbeat_message(18, 8, 0, LOITER, 4, 3), (1, 1))
+    rig.hear(mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_ON_GROUND), (1, 191))
+    assert (rig.aircraft.mode, rig.aircraft.vehicle.in_air, rig.aircraft.authority.ours) == ("GUIDED", True, True)
+
+
+def test_heard_but_never_obeyed() -> None:
+    rig = Rig(answers=False)
+    rig.flying()
+    rig.run(30.0)
+    assert rig.targets == []
+    (problem,) = rig.aircraft.problems()
+    assert "does not obey" in problem and "SYSID_ENFORCE" in problem
+    # An answer ends it.
+    rig.hear(mavlink.MAVLink_command_ack_message(511, 0, 0, 0, 245, 191))
+    assert rig.aircraft.problems() == []
+
+
+def test_everything_is_asked_for_again_when_positions_stop() -> None:
+    rig = Rig()
+    rig.flying()
+    rig.run(5.0)
+    asked = {round(m.param1) for m in rig.wire if m.get_type() == "COMMAND_LONG" and m.command == 511}
+    assert asked == set(WANTED)
+    rig.wire.clear()
+    rig.run(3.0)
+    assert rig.wire == [], "while they come, nothing is asked"
+    rig.run(10.0, position=False)
+    assert {round(m.param1) for m in rig.wire if m.command == 511} == set(WANTED)
+
+
+def test_the_deadman_holds_and_releases() -> None:
+    rig = Rig().launched()
+    rig.deadman.timeout_s = 3.0
+    rig.deadman.feed(rig.now)
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(2.0)
+    assert rig.goal[0] is GoalState.SENT
+    rig.run(2.0)
+    assert rig.goal == (GoalState.NONE, "planner silent for 4 s: it holds")
+    rig.deadman.feed(rig.now)
+    rig.run(0.2)
+    assert rig.goal[0] is GoalState.SENT
+
+
+def test_a_goal_far_from_where_a_pilot_left_the_aircraft_is_refused() -> None:
+    rig = Rig().launched()
+    rig.aircraft.settings = replace(
+        rig.aircraft.settings, limits=replace(rig.aircraft.settings.limits, max_jump_m=200.0)
+    )
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(1.0)
+    assert rig.goal[0] is GoalState.SENT
+    rig.mode = LOITER
+    rig.heartbeat()
+    rig.position(-1000.0)
+    rig.aircraft.tick(rig.now)
+    assert rig.goal[0] is GoalState.YIELDED
+    rig.aircraft.run(procedures.launch(rig.aircraft), lambda ok, text: rig.done.append((ok, text)), "launch")
+    for _ in range(20):
+        rig.now += 0.1
+        rig.heartbeat()
+        rig.position(-1000.0)
+        rig.aircraft.tick(rig.now)
+    assert rig.goal == (GoalState.REJECTED, "goal is 1100 m away, most 200 m (max_goal_jump_m)")
+
+
+def test_a_slow_radio_gets_slower_telemetry_and_a_hopeless_one_is_told() -> None:
+    full, overloaded = affordable_rates(None, 4, 2.0, signed=False)
+    assert not overloaded and full == {message_id: wanted.rate_hz for message_id, wanted in WANTED.items()}
+    slow, overloaded = affordable_rates(1500.0, 4, 2.0, signed=False)
+    assert not overloaded
+    assert all(slow[i] <= full[i] for i in full) and slow != full
+    # Least rates first: a position every other second at least.
+    assert slow[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT] >= 0.5
+    # 4 aircraft * 2 Hz * 65 bytes of targets alone are 520 byte/s: payload 53, header and checksum 12.
+    assert affordable_rates(500.0, 4, 2.0, signed=False)[1]
