@@ -98,7 +98,7 @@ def test_no_position_of_a_fine_grid_is_better_and_the_bound_holds(seed):
         assert where == pytest.approx(hover.rate[i], abs=1e-6)
         for x in np.linspace(-radius, radius, 41):
             for y in np.linspace(-radius, radius, 41):
-                better = rate_at(link, positions[members[i]], rates[members[i]], at + [x, y])
+                better = rate_at(link, positions[members[i]], rates[members[i]], at + np.array([x, y]))
                 assert better <= hover.bound[i] + 1e-9
 
 

@@ -14,14 +14,15 @@ from scipy.spatial import cKDTree
 
 from jpap_ros.planning.deployment import Deployment, make_deployment
 from jpap_ros.planning.link_budget import Floats, snr_demand
+from jpap_ros.planning.optimal.enumeration import TooManySets
 from jpap_ros.planning.optimal.position import share_power
 from jpap_ros.planning.optimal.servability import Ints, Servability, Sets
 from jpap_ros.planning.solver import Problem
 
 #: Positions are moved apart by this much more than asked, and kept this much inside their discs; relative.
 _MARGIN = 1e-7
-_TRIES = 12
-_SWEEPS = 400
+_TRIES = 8
+_SWEEPS = 250
 
 
 def keep_apart(problem: Problem, deployment: Deployment) -> Deployment:
@@ -114,6 +115,8 @@ def spread(wanted: Floats, sets: Sets, separation: float, seed: int) -> Floats:
         [m]
     """
     reach = sets.slack_radius * (1 - _MARGIN)
+    if len(_hopeless(sets, separation)):
+        return wanted
     random = np.random.default_rng(seed)
     best: Floats = wanted
     fewest: float = math.inf
@@ -142,24 +145,50 @@ def spread(wanted: Floats, sets: Sets, separation: float, seed: int) -> Floats:
     return best
 
 
-def never_apart(sets: Sets, first: int, second: int, separation: float) -> bool:
-    """Whether two cells cannot be served by UAVs that far apart: proof, by the farthest points of their discs."""
-    between = float(np.hypot(*(sets.centroid[first] - sets.centroid[second])))
-    return bool(between + sets.slack_radius[first] + sets.slack_radius[second] < separation)
+def never_apart(members: list[Ints], sets: Sets, separation: float, most: int) -> Ints:
+    """Pairs of disjoint sets that no two UAVs so far apart can serve: the farthest points of their discs are nearer.
+
+    Returns
+    -------
+    (n, 2) int
+
+    Raises
+    ------
+    TooManySets
+        If more than `most` pairs have to be looked at.
+    """
+    tree = cKDTree(sets.centroid)
+    if tree.count_neighbors(tree, separation) > 20 * most:
+        raise TooManySets
+    pairs = _hopeless(sets, separation)
+    own = [set(cell.tolist()) for cell in members]
+    disjoint = np.array([own[i].isdisjoint(own[j]) for i, j in pairs.tolist()], dtype=bool)
+    if disjoint.sum() > most:
+        raise TooManySets
+    apart: Ints = pairs[disjoint]
+    return apart
+
+
+def _hopeless(sets: Sets, separation: float) -> Ints:
+    """Pairs of sets whose discs have no two points so far apart."""
+    pairs = cKDTree(sets.centroid).query_pairs(separation, output_type="ndarray").astype(np.int64)
+    first, second = pairs[:, 0], pairs[:, 1]
+    between = np.hypot(*(sets.centroid[first] - sets.centroid[second]).T)
+    found: Ints = pairs[between + sets.slack_radius[first] + sets.slack_radius[second] < separation]
+    return found
 
 
 def _push(here: Floats, first: int, second: int, separation: float, random: np.random.Generator) -> None:
     away = here[second] - here[first]
     distance = float(np.hypot(*away))
-    lacking = separation * (1 + _MARGIN) - distance
+    lacking = separation * (1 + 2 * _MARGIN) - distance
     if lacking <= 0:
         return
     if distance < 1e-9:
         angle = random.uniform(0, 2 * np.pi)
         away, distance = np.array([math.cos(angle), math.sin(angle)]), 1.0
-    share = random.uniform(0.3, 0.7)
-    here[first] -= away / distance * lacking * share
-    here[second] += away / distance * lacking * (1 - share)
+    here[first] -= away / distance * lacking / 2
+    here[second] += away / distance * lacking / 2
 
 
 def _too_close(positions: Floats, separation: float) -> Ints:

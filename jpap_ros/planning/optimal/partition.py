@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +67,7 @@ class RateProgram:
         self._index = {cell.tobytes(): i for i, cell in enumerate(members)}
 
     def solve(
-        self, uavs: int, start: list[Ints] | None, deadline: float, apart: Sequence[tuple[Ints, Ints]] = ()
+        self, uavs: int, start: list[Ints] | None, deadline: float, apart: Ints | None = None
     ) -> Partition | None:
         """Best partition into `uavs` cells found by the deadline.
 
@@ -76,15 +75,15 @@ class RateProgram:
         ----------
         start : list of int arrays, optional
             One such partition to begin with.
-        apart : sequence of pairs of int arrays
-            Pairs of cells that no partition may have both of.
+        apart : (n, 2) int, optional
+            Pairs of the program's sets that no partition may have both of.
 
         Returns
         -------
         Partition or None
             None if there is no such partition, or, without a start, if none was found in time.
         """
-        pairs = np.array([[self._column(cell) for cell in pair] for pair in apart], dtype=np.int64).reshape(-1, 2)
+        pairs = np.empty((0, 2), np.int64) if apart is None else apart
         best = None if start is None else np.array([self._column(cell) for cell in start])
         if best is not None:
             self._refine(best)

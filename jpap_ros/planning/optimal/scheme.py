@@ -32,7 +32,8 @@ _RESERVE = 0.05
 #: Most servable sets with which the rate is solved as one program.
 _MOST_RATE_SETS = 20_000
 _MOST_MAXIMAL_SETS = 300_000
-_MOST_CUTS = 60
+#: Most pairs of sets that are kept apart in one program.
+_MOST_PAIRS = 50_000
 
 
 def optimal(problem: Problem) -> Deployment:
@@ -163,33 +164,25 @@ class _Solver:
             return fleet, replace(partition, positions=positions)
         try:
             members, sets = all_sets(self.servability, _MOST_RATE_SETS, self.deadline)
+            pairs = never_apart(members, sets, separation, _MOST_PAIRS)
         except TooManySets:
             return fleet, partition
         program = RateProgram(self.servability, members, sets, self.power_eta)
-        pairs: list[tuple[Ints, Ints]] = []
-        bound, uavs, current = fleet.bound, len(fleet.cells), partition
-        proven = fleet.proven
-        most = len(self.servability) if self.problem.max_uavs is None else self.problem.max_uavs
-        for _ in range(_MOST_CUTS):
-            new = self._new_conflicts(current, separation)
-            if not new:
-                proven = False  # pairwise possible, together not found: another count is tried, but not as proof
-                uavs += 1
-            pairs += new
-            while uavs <= most and time.monotonic() < self.deadline:
-                found = program.solve(uavs, None, self.deadline, pairs)
-                if found is not None:
-                    break
-                # No partition into so many cells keeps apart what must be: the least fleet is larger.
-                proven = proven and time.monotonic() < self.deadline
-                uavs += 1
-            else:
+        bound, proven = fleet.bound, fleet.proven
+        limit = len(self.servability) if self.problem.max_uavs is None else self.problem.max_uavs
+        for uavs in range(len(fleet.cells), limit + 1):
+            found = program.solve(uavs, None, self.deadline, pairs)
+            if time.monotonic() > self.deadline:
                 break
-            bound = max(bound, uavs) if proven else bound
-            current = found
+            if found is None:
+                # No partition into so many cells keeps apart what must be.
+                bound = uavs + 1 if proven else bound
+                continue
             positions = self._spread(found)
             if positions is not None:
                 return Fleet(found.cells, bound), replace(found, positions=positions)
+            # Any two can be kept apart, but all together were not: more UAVs are tried, without proof.
+            proven = False
         return fleet, partition
 
     def _spread(self, partition: Partition) -> Floats | None:
@@ -198,15 +191,6 @@ class _Solver:
         gaps = np.hypot(*(positions[:, None] - positions[None]).transpose(2, 0, 1))
         gaps[np.diag_indices(len(gaps))] = np.inf
         return positions if gaps.min(initial=np.inf) >= self.problem.min_separation_m else None
-
-    def _new_conflicts(self, partition: Partition, separation: float) -> list[tuple[Ints, Ints]]:
-        sets = self.servability.measure_all(partition.cells)
-        return [
-            (partition.cells[i], partition.cells[j])
-            for i in range(len(partition.cells))
-            for j in range(i)
-            if never_apart(sets, i, j, separation)
-        ]
 
     def _deploy_limited(self, fleet: Fleet, partition: Partition) -> Deployment:
         whole = Fleet([np.empty(0, np.int64)] * self.uavs_needed, fleet.bound)
