@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.sim.channel import Channel
 from jpap_ros.sim.commands import Command
-from jpap_ros.sim.flight import FlyAt, FlyTo, Point, Rest, TakeOff
+from jpap_ros.sim.flight import FlyAt, FlyTo, Follow, Point, Rest, TakeOff
 from jpap_ros.sim.setpoint import MAX_HEIGHT_M, RELATIVE_FRAMES, Parts, local_point, up_of_altitude, velocity_enu
 from jpap_ros.sim.vehicle import ACCEPTED, DENIED, FAILED, UNSUPPORTED, SimVehicle
 
@@ -52,7 +52,8 @@ class ArduPilotVehicle(SimVehicle):
     FLIGHT_SW_VERSION = 0x040600FF
     BOOT_RATES_HZ = MappingProxyType({mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0})
     ECHO_FRAME = mavlink.MAV_FRAME_GLOBAL
-    ECHO_TYPE_MASK = 0xFFF8
+    # Position counts; velocity, acceleration and yaw do not; the highest bits are set as ArduPilot sets them.
+    ECHO_TYPE_MASK = 0xFDF8
     PARAMETERS = MappingProxyType(
         {
             "MAV_SYSID": 1,
@@ -98,6 +99,12 @@ class ArduPilotVehicle(SimVehicle):
     def position_before_fix(self) -> Any:
         """ArduPilot sends GLOBAL_POSITION_INT all the same, at 0, 0."""
         return mavlink.MAVLink_global_position_int_message(self.boot_ms(), 0, 0, 0, 0, 0, 0, 0, 0)
+
+    def global_target(self) -> Point | None:
+        """The flight mode's waypoint: the target that was sent in GUIDED, the way home in RTL, nothing elsewhere."""
+        manoeuvre = self.manoeuvre
+        sent = self._mode == "GUIDED" and isinstance(manoeuvre, FlyTo) and manoeuvre.face_goal
+        return super().global_target() if sent or self._mode == "RTL" else None
 
     # Who may command
 
@@ -208,10 +215,13 @@ class ArduPilotVehicle(SimVehicle):
             self.hold_here()
         elif parts.position:
             goal = self._goal(message)
-            if goal is None:
+            velocity = velocity_enu(message) if parts.velocity else None
+            if goal is None or (parts.velocity and velocity is None):
                 self.hold_here()
-            else:
+            elif velocity is None or self.on_ground:
                 self._fly_to(goal, parts.yaw)
+            elif self.within_fence(goal):
+                self.manoeuvre = Follow(goal, velocity, parts.yaw, self.now + GUID_TIMEOUT_S)
         elif parts.velocity and not self.on_ground and (velocity := velocity_enu(message)) is not None:
             self.manoeuvre = FlyAt(velocity, parts.yaw, self.now + GUID_TIMEOUT_S)
         else:

@@ -102,6 +102,7 @@ class SimFleet:
                 start = uav.home_m or (GRID_M * (i % columns), GRID_M * (i // columns))
                 personality = PERSONALITIES["ardupilot" if uav.autopilot == "auto" else uav.autopilot]
                 vehicle = personality(uav, frame, start, _options(uav, by_name), seed, self.lock)
+                vehicle.speedup = speedup
                 self.vehicles[uav.name] = vehicle
                 for link_id, url in enumerate(uav.urls):
                     station = self._station(url, vehicle, shared)

@@ -86,6 +86,50 @@ class FlyAt(Manoeuvre):
             vehicle.touch_down()
 
 
+class Follow(Manoeuvre):
+    """Keep up with a moving point: a position target with a velocity, until `expires` on the wall clock, then stop.
+
+    Parameters
+    ----------
+    goal : tuple of float
+        Where the point is at first [m].
+    velocity : tuple of float
+        Its velocity (east, north, up) [m/s].
+    yaw : float or None
+    expires : float
+    """
+
+    #: The error in position is made good at this rate, on top of the point's own velocity [1/s].
+    GAIN = 2.0
+
+    def __init__(self, goal: Point, velocity: Point, yaw: float | None, expires: float) -> None:
+        self.goal: Point = goal
+        self.velocity = velocity
+        self.yaw = yaw
+        self.expires = expires
+        self._age_s = 0.0
+
+    def step(self, vehicle: SimVehicle, dt: float) -> None:
+        """Fly with the point's velocity and close in on it."""
+        body = vehicle.body
+        if vehicle.on_ground:
+            return
+        if vehicle.now >= self.expires:
+            body.fly_at((0.0, 0.0, 0.0), dt)
+            return
+        # The point moves on the wall clock, the aircraft in simulated time.
+        velocity = tuple(v / vehicle.speedup for v in self.velocity)
+        self._age_s += dt
+        place = [g + v * self._age_s for g, v in zip(self.goal, velocity, strict=True)]
+        error = [p - b for p, b in zip(place, body.position, strict=True)]
+        east, north, up = (v + self.GAIN * e for v, e in zip(velocity, error, strict=True))
+        body.fly_at((east, north, up), dt)
+        if self.yaw is not None:
+            body.turn_to(self.yaw, dt)
+        if body.z <= 0.0:
+            vehicle.touch_down()
+
+
 class TakeOff(Manoeuvre):
     """Spin up, climb straight to a height, and tell the vehicle when it is there."""
 

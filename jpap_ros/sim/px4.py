@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.sim.channel import Channel
 from jpap_ros.sim.commands import Command
-from jpap_ros.sim.flight import FlyAt, FlyTo, Point, Rest, TakeOff
+from jpap_ros.sim.flight import FlyAt, FlyTo, Follow, Point, Rest, TakeOff
 from jpap_ros.sim.setpoint import MAX_HEIGHT_M, Parts, local_point, velocity_enu
 from jpap_ros.sim.vehicle import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, SimVehicle
 
@@ -260,8 +260,8 @@ class Px4Vehicle(SimVehicle):
             goal = self._goal(message)
             if goal is None:
                 return
-        velocity = velocity_enu(message) if parts.velocity and goal is None else None
-        if goal is None and velocity is None:
+        velocity = velocity_enu(message) if parts.velocity else None
+        if velocity is None and (goal is None or parts.velocity):
             return
         if self.now - self._stream_last > self.options.offboard_loss_s:
             self._stream_began = self.now
@@ -276,6 +276,8 @@ class Px4Vehicle(SimVehicle):
         if goal is None:
             if velocity is not None:
                 self.manoeuvre = FlyAt(velocity, parts.yaw, math.inf)
+        elif velocity is not None and not self.on_ground:
+            self.manoeuvre = Follow(goal, velocity, parts.yaw, math.inf)
         elif not isinstance(self.manoeuvre, FlyTo) or (self.manoeuvre.goal, self.manoeuvre.yaw) != (goal, parts.yaw):
             self.manoeuvre = FlyTo(goal, parts.yaw)
 

@@ -95,6 +95,8 @@ class SimVehicle(ABC):
         self.prearm_failure = options.prearm_failure
         self.refuse_arming = options.refuse_arming
         self.now = 0.0
+        #: Simulated seconds a second of the wall clock.
+        self.speedup = 1.0
         self._anchor = GeodeticAnchor(frame)
         self._commands = self._command_table()
         # What a reboot sets anew; see _boot.
