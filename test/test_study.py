@@ -190,7 +190,7 @@ def test_the_command_writes_results_report_and_figures(tmp_path: Path, capsys: p
     labels = {
         "figure1": ["Average UAV data rate [bit/s/Hz]", "JPAP (QDPA)", "Spiral, EPA"],
         "figure3": ["Number of UAVs", "JPAP (QDPA)", "Spiral, EPA"],
-        "link_budget": ["Link budget above the stated one [dB]", "paper, Figure 2: JPAP 14"],
+        "link_budget": ["Link budget above the stated one [dB]", "paper: JPAP 14"],
         "figure2": ["East [m]", "North [m]", "JPAP (QDPA)", "EPA-JPAP, common radius"],
     }
     for name, expected in labels.items():

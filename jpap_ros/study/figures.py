@@ -38,30 +38,32 @@ def plot_over_devices(rows: Sequence[Row], metric: Metric, ylabel: str, path: Pa
         figure, axes = plt.subplots(figsize=(5.2, 3.6))
         _curves(axes, [row for row in rows if row.gain_db == 0], metric, "devices")
         axes.set_xlabel("Number of devices $K$")
+        axes.set_xticks(sorted({row.devices for row in rows}))
         axes.set_ylabel(ylabel)
         axes.set_ylim(bottom=0)
-        axes.set_ylim(top=axes.get_ylim()[1] * 1.2)
+        axes.set_ylim(top=axes.get_ylim()[1] * 1.35)
         _legend(axes, "upper left")
         return save(figure, path)
 
 
 def plot_over_gain(rows: Sequence[Row], path: Path) -> list[Path]:
-    """UAV number of 40 devices against link budget, with the counts of the paper's Figure 2."""
-    here = [row for row in rows if row.devices == PAPER_DEVICES]
+    """UAV number of 40 devices against link budget, for schemes run at several, beside the paper's Figure 2 counts."""
+    varied = {row.scheme for row in rows if row.devices == PAPER_DEVICES and row.gain_db != 0}
+    here = [row for row in rows if row.devices == PAPER_DEVICES and row.scheme in varied]
     with figure_style():
         figure, axes = plt.subplots(figsize=(5.2, 3.6))
         _curves(axes, here, uav_number, "gain_db")
-        right = axes.get_xlim()[1]
+        left = axes.get_xlim()[0]
         for name, count in PAPER_UAVS.items():
             axes.axhline(count, color=GREY, linewidth=0.9, linestyle=(0, (1, 1)), zorder=1)
             above = count == max(PAPER_UAVS.values())
             axes.text(
-                right,
+                left,
                 count,
-                f"paper, Figure 2: {name} {count}",
+                f" paper: {name} {count}",
                 fontsize=7.5,
                 color="#555555",
-                ha="right",
+                ha="left",
                 va="bottom" if above else "top",
             )
         axes.set_xlabel("Link budget above the stated one [dB]")
@@ -73,9 +75,10 @@ def plot_over_gain(rows: Sequence[Row], path: Path) -> list[Path]:
 
 def _curves(axes: Axes, rows: Sequence[Row], metric: Metric, over: str) -> None:
     """One curve with error bars for each scheme."""
-    places: list[float] = sorted({getattr(row, over) for row in rows})
     for scheme in sorted({row.scheme for row in rows}, key=scheme_order):
-        means = [mean_of(rows, metric, scheme=scheme, **{over: place}) for place in places]
+        own = [row for row in rows if row.scheme == scheme]
+        places: list[float] = sorted({getattr(row, over) for row in own})
+        means = [mean_of(own, metric, **{over: place}) for place in places]
         style = look(scheme)
         axes.errorbar(
             places,
@@ -90,7 +93,6 @@ def _curves(axes: Axes, rows: Sequence[Row], metric: Metric, over: str) -> None:
             capsize=2.5,
             elinewidth=0.9,
         )
-    axes.set_xticks(places)
 
 
 def _legend(axes: Axes, where: Literal["upper left", "lower left"]) -> None:

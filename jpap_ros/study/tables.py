@@ -8,14 +8,14 @@ from jpap_ros.study.figures import average_rate, uav_number
 from jpap_ros.study.rows import Row
 from jpap_ros.study.scenario import Scenario
 from jpap_ros.study.style import look, scheme_order
-from jpap_ros.study.summary import CONFIDENCE, Metric, markdown_table, mean_difference, mean_of
+from jpap_ros.study.summary import CONFIDENCE, Mean, Metric, markdown_table, mean_difference, mean_of
 
 #: The scheme that the paper claims to be best; the differences are to it.
 REFERENCE = "jpap"
 
 
 def report(scenario: Scenario, rows: Sequence[Row]) -> str:
-    """Markdown: the parameters, then each metric by scheme and number of devices, and link budget where it varies."""
+    """Markdown: parameters, each metric by scheme and number of devices, and UAVs by link budget where it varies."""
     link = scenario.link
     parts = [
         "# Comparison of the schemes\n",
@@ -25,23 +25,28 @@ def report(scenario: Scenario, rows: Sequence[Row]) -> str:
         f" K_max = {scenario.max_devices_per_uav or 'none'}, seed {scenario.seed}."
         f" Mean ± half-width of the {CONFIDENCE:.0%} confidence interval.\n",
     ]
-    for gain in sorted({row.gain_db for row in rows}):
-        here = [row for row in rows if row.gain_db == gain]
-        at = "" if gain == 0 else f", {gain:+g} dB of link budget"
+    stated = [row for row in rows if row.gain_db == 0]
+    parts += [
+        "## UAVs\n",
+        _table(stated, uav_number, "devices", "K = {}"),
+        "## Average UAV rate [bit/s/Hz]\n",
+        _table(stated, average_rate, "devices", "K = {}"),
+    ]
+    if REFERENCE in {row.scheme for row in stated}:
         parts += [
-            f"## UAVs{at}\n",
-            _table(here, uav_number, ".2f"),
-            f"## Average UAV rate [bit/s/Hz]{at}\n",
-            _table(here, average_rate, ".2f"),
+            f"## UAVs more than {look(REFERENCE).label}, draw by draw\n",
+            _differences(stated, uav_number),
+            f"## Average UAV rate above {look(REFERENCE).label}, draw by draw [bit/s/Hz]\n",
+            _differences(stated, average_rate),
         ]
-        if REFERENCE in {row.scheme for row in here}:
+    if len({row.gain_db for row in rows}) > 1:
+        for count in sorted({row.devices for row in rows if row.gain_db != 0}):
+            here = [row for row in rows if row.devices == count]
             parts += [
-                f"## UAVs more than {look(REFERENCE).label}, draw by draw{at}\n",
-                _differences(here, uav_number),
-                f"## Average UAV rate above {look(REFERENCE).label}, draw by draw [bit/s/Hz]{at}\n",
-                _differences(here, average_rate),
+                f"## UAVs for {count} devices by link budget above the stated one\n",
+                _table(here, uav_number, "gain_db", "{:+g} dB"),
             ]
-        parts += [f"## Proofs and time{at}\n", _proofs(here)]
+    parts += ["## Proofs and time\n", _proofs(rows)]
     return "\n".join(parts)
 
 
@@ -49,15 +54,23 @@ def _schemes(rows: Sequence[Row]) -> list[str]:
     return sorted({row.scheme for row in rows}, key=scheme_order)
 
 
-def _table(rows: Sequence[Row], metric: Metric, spec: str) -> str:
-    counts = sorted({row.devices for row in rows})
+def _table(rows: Sequence[Row], metric: Metric, over: str, heading: str) -> str:
+    """A metric by scheme and by the values of a column; empty where there are no rows."""
+    values = sorted({getattr(row, over) for row in rows})
     return markdown_table(
-        ["Scheme", *(f"K = {count}" for count in counts)],
+        ["Scheme", *(heading.format(value) for value in values)],
         [
-            [look(scheme).label, *(format(mean_of(rows, metric, scheme=scheme, devices=k), spec) for k in counts)]
+            [
+                look(scheme).label,
+                *(_cell(mean_of(rows, metric, **{"scheme": scheme, over: value}), ".2f") for value in values),
+            ]
             for scheme in _schemes(rows)
         ],
     )
+
+
+def _cell(found: Mean, spec: str) -> str:
+    return format(found, spec) if found.draws else ""
 
 
 def _differences(rows: Sequence[Row], metric: Metric) -> str:
@@ -67,7 +80,7 @@ def _differences(rows: Sequence[Row], metric: Metric) -> str:
         [
             [
                 look(scheme).label,
-                *(format(mean_difference(rows, metric, scheme, REFERENCE, devices=k), "+.2f") for k in counts),
+                *(_cell(mean_difference(rows, metric, scheme, REFERENCE, devices=k), "+.2f") for k in counts),
             ]
             for scheme in _schemes(rows)
             if scheme != REFERENCE
