@@ -136,12 +136,19 @@ def test_both_families_of_frames_are_flown(frame: int, altitude: float) -> None:
 def test_a_target_is_echoed_as_it_was_sent_with_its_altitude_above_mean_sea_level() -> None:
     bench = ardupilot_in_the_air()
     assert bench.command(INTERVAL, ECHO, 500_000) == ACCEPTED
+    bench.run(2.0)
+    assert bench.last("POSITION_TARGET_GLOBAL_INT") is None, "nobody has sent a target yet"
     target = bench.target(120.0, -50.0, 45.0, RELATIVE_INT)
     bench.send(target)
     bench.run(1.0)
     echo = bench.last("POSITION_TARGET_GLOBAL_INT")
     assert (echo.lat_int, echo.lon_int) == (target.lat_int, target.lon_int)
     assert echo.alt == pytest.approx(65.0)
+    assert (echo.coordinate_frame, echo.type_mask & 0b110111111111) == (GLOBAL, POSITION_ONLY)
+    set_mode(bench, "LOITER")
+    bench.heard.clear()
+    bench.run(2.0)
+    assert bench.last("POSITION_TARGET_GLOBAL_INT") is None, "LOITER has no waypoint"
 
 
 @pytest.mark.parametrize("mode", ["LOITER", "RTL", "LAND"])
