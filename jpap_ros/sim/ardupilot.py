@@ -9,10 +9,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.sim.channel import Channel
-from jpap_ros.sim.commands import Command
+from jpap_ros.sim.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from jpap_ros.sim.flight import FlyAt, FlyTo, Follow, Point, Rest, TakeOff
 from jpap_ros.sim.setpoint import MAX_HEIGHT_M, RELATIVE_FRAMES, Parts, local_point, up_of_altitude, velocity_enu
-from jpap_ros.sim.vehicle import ACCEPTED, DENIED, FAILED, UNSUPPORTED, SimVehicle
+from jpap_ros.sim.vehicle import SimVehicle
 
 MODES = {
     "STABILIZE": 0,

@@ -6,6 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+ACCEPTED: int = mavlink.MAV_RESULT_ACCEPTED
+DENIED: int = mavlink.MAV_RESULT_DENIED
+FAILED: int = mavlink.MAV_RESULT_FAILED
+TEMPORARILY_REJECTED: int = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
+COMMAND_LONG_ONLY: int = mavlink.MAV_RESULT_COMMAND_LONG_ONLY
+COMMAND_INT_ONLY: int = mavlink.MAV_RESULT_COMMAND_INT_ONLY
+
 #: param2 of MAV_CMD_COMPONENT_ARM_DISARM that overrides all checks.
 FORCE_ARM_MAGIC = 21196
 

@@ -86,7 +86,7 @@ class SimFleet:
         self.config = config
         self.lock = threading.RLock()
         self._selector = selectors.DefaultSelector()
-        self._stations: list[_Station] = []
+        self._stations: dict[Port, _Station] = {}
         self._later: list[tuple[float, int, Callable[[float], None]]] = []
         self._order = itertools.count()
         self._stop = threading.Event()
@@ -120,7 +120,7 @@ class SimFleet:
             except SimError as error:
                 raise SimError(f"{vehicle.name}: {error}") from None
             station.port.register(self._selector)
-            self._stations.append(station)
+            self._stations[station.port] = station
             # Only a socket that listens has to be shared; otherwise each aircraft speaks from an address of its own.
             if url.kind != "udpin":
                 shared[url] = station
@@ -146,7 +146,7 @@ class SimFleet:
     @property
     def rejected(self) -> int:
         """Frames dropped for a bad checksum or signature, on all links."""
-        return sum(station.port.rejected for station in self._stations)
+        return sum(station.port.rejected for station in self._stations.values())
 
     def start(self) -> None:
         """Run in a thread until `close`."""
@@ -166,7 +166,7 @@ class SimFleet:
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-        for station in self._stations:
+        for station in self._stations.values():
             station.port.close()
         self._stations.clear()
         self._selector.close()
@@ -180,8 +180,8 @@ class SimFleet:
         now = time.monotonic()
         wait = min(timeout, max(0.0, self._next_tick - now))
         for key, _ in self._selector.select(wait):
-            _, read = key.data
-            self._take(key.data[0], read())
+            port, read = key.data
+            self._take(port, read())
         now = time.monotonic()
         if now >= self._next_tick:
             self._next_tick = max(self._next_tick + TICK_S, now)
@@ -189,7 +189,7 @@ class SimFleet:
                 self._step(now)
 
     def _take(self, port: Port, messages: Iterator[Any]) -> None:
-        station = next(s for s in self._stations if s.port is port)
+        station = self._stations[port]
         now = time.monotonic()
         with self.lock:
             for message in messages:
@@ -235,7 +235,7 @@ class SimFleet:
             for _ in range(steps):
                 vehicle.advance(simulated / steps)
             vehicle.tick(now)
-        for station in self._stations:
+        for station in self._stations.values():
             for vehicle, channel in station.members.values():
                 self._flush(station.port, vehicle, channel, now)
 

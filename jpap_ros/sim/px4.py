@@ -9,10 +9,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.sim.channel import Channel
-from jpap_ros.sim.commands import Command
+from jpap_ros.sim.commands import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, Command
 from jpap_ros.sim.flight import FlyAt, FlyTo, Follow, Point, Rest, TakeOff
 from jpap_ros.sim.setpoint import MAX_HEIGHT_M, Parts, local_point, velocity_enu
-from jpap_ros.sim.vehicle import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, SimVehicle
+from jpap_ros.sim.vehicle import SimVehicle
 
 _AUTO = 4
 #: Main and sub mode by name.

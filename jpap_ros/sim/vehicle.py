@@ -15,27 +15,25 @@ from jpap_ros.fleet.config import UavConfig
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.sim.anchor import GeodeticAnchor
 from jpap_ros.sim.channel import Channel
-from jpap_ros.sim.commands import FORCE_ARM_MAGIC, Command
+from jpap_ros.sim.commands import (
+    ACCEPTED,
+    COMMAND_INT_ONLY,
+    COMMAND_LONG_ONLY,
+    FAILED,
+    FORCE_ARM_MAGIC,
+    UNSUPPORTED,
+    Command,
+)
 from jpap_ros.sim.dynamics import PointMass
 from jpap_ros.sim.flight import Fall, FlyTo, Land, Manoeuvre, Point, Rest, ReturnHome, TakeOff
 from jpap_ros.sim.options import VehicleOptions
 from jpap_ros.sim.parameters import ParameterTable
 from jpap_ros.sim.received import ReceivedLog
+from jpap_ros.sim.requests import QUESTIONS, REQUESTS
 from jpap_ros.sim.telemetry import BUILDERS
-
-ACCEPTED: int = mavlink.MAV_RESULT_ACCEPTED
-DENIED: int = mavlink.MAV_RESULT_DENIED
-FAILED: int = mavlink.MAV_RESULT_FAILED
-TEMPORARILY_REJECTED: int = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
-UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
-COMMAND_LONG_ONLY: int = mavlink.MAV_RESULT_COMMAND_LONG_ONLY
-COMMAND_INT_ONLY: int = mavlink.MAV_RESULT_COMMAND_INT_ONLY
 
 #: Share of the hovering current that idling motors draw.
 _IDLE_DRAIN = 0.1
-#: MESSAGE_INTERVAL has 16 bits for it.
-_GREATEST_MESSAGE_ID = 0xFFFF
-_LONGEST_INTERVAL_US = 0x7FFFFFFF
 
 
 class SimVehicle(ABC):
@@ -284,10 +282,13 @@ class SimVehicle(ABC):
     def _on_command(self, message: Any, channel: Channel) -> None:
         command = Command.of(message)
         action = self._commands.get(command.command)
+        request = REQUESTS.get(command.command)
         if command.command in (self.options.long_only if command.is_int else self.options.int_only):
             result = COMMAND_LONG_ONLY if command.is_int else COMMAND_INT_ONLY
+        elif request is not None:
+            result = request(self, command, channel)
         else:
-            result = UNSUPPORTED if action is None else action(command, channel)
+            result = action(command) if action is not None else UNSUPPORTED
         ack = mavlink.MAVLink_command_ack_message(command.command, result, 0, 0, *command.source)
         channel.put(ack)
         if command.command == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN and result == ACCEPTED:
@@ -300,46 +301,17 @@ class SimVehicle(ABC):
     def _on_setpoint(self, message: Any, channel: Channel) -> None:
         self.setpoint(message)
 
-    def _on_request_data_stream(self, message: Any, channel: Channel) -> None:
-        for stream, kinds in STREAMS.items():
-            if message.req_stream_id in (mavlink.MAV_DATA_STREAM_ALL, stream):
-                for kind in kinds:
-                    wanted = message.start_stop == 1 and message.req_message_rate > 0
-                    interval = 1.0 / message.req_message_rate if wanted else None
-                    channel.set_interval(kind, interval, self.now)
-
-    def _on_parameter(self, message: Any, channel: Channel) -> None:
-        for answer in self.parameters.answer(message):
-            channel.put(answer)
-
-    def _on_mission_request_list(self, message: Any, channel: Channel) -> None:
-        target = (message.get_srcSystem(), message.get_srcComponent())
-        channel.put(mavlink.MAVLink_mission_count_message(*target, 0, message.mission_type))
-
-    def _on_mission_write(self, message: Any, channel: Channel) -> None:
-        target = (message.get_srcSystem(), message.get_srcComponent())
-        channel.put(mavlink.MAVLink_mission_ack_message(*target, mavlink.MAV_MISSION_UNSUPPORTED, message.mission_type))
-
-    def _on_timesync(self, message: Any, channel: Channel) -> None:
-        if message.tc1 == 0:
-            channel.put(mavlink.MAVLink_timesync_message(int(self.clock_s * 1e9), message.ts1))
-
     # Commands
 
-    def _command_table(self) -> dict[int, Callable[[Command, Channel], int]]:
+    def _command_table(self) -> dict[int, Callable[[Command], int]]:
         return {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
-            mavlink.MAV_CMD_DO_SET_MODE: lambda command, _: self.do_set_mode(command),
-            mavlink.MAV_CMD_NAV_TAKEOFF: lambda command, _: self.take_off(command),
-            mavlink.MAV_CMD_NAV_LAND: lambda command, _: self.land_command(),
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda command, _: self.return_command(),
-            mavlink.MAV_CMD_DO_REPOSITION: lambda command, _: self.reposition(command),
-            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_message_interval,
-            mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_message_interval,
-            mavlink.MAV_CMD_REQUEST_MESSAGE: self._request_message,
-            mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._request_capabilities,
-            mavlink.MAV_CMD_GET_HOME_POSITION: self._get_home_position,
-            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: lambda command, _: self._reboot_command(command),
+            mavlink.MAV_CMD_DO_SET_MODE: self.do_set_mode,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self.take_off,
+            mavlink.MAV_CMD_NAV_LAND: lambda _: self.land_command(),
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: self.return_command(),
+            mavlink.MAV_CMD_DO_REPOSITION: self.reposition,
+            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot_command,
         }
 
     @abstractmethod
@@ -370,7 +342,7 @@ class SimVehicle(ABC):
     def setpoint(self, message: Any) -> None:
         """SET_POSITION_TARGET_GLOBAL_INT or SET_POSITION_TARGET_LOCAL_NED."""
 
-    def _arm_disarm(self, command: Command, channel: Channel) -> int:
+    def _arm_disarm(self, command: Command) -> int:
         force = command.param(2) == FORCE_ARM_MAGIC
         if command.param(1) not in (0.0, 1.0):
             return UNSUPPORTED
@@ -440,48 +412,6 @@ class SimVehicle(ABC):
     @abstractmethod
     def disarmed(self) -> None:
         """The mode after disarming."""
-
-    def _set_message_interval(self, command: Command, channel: Channel) -> int:
-        kind, interval_us = command.integer(1), command.param(2)
-        if kind not in BUILDERS:
-            return DENIED
-        if not -1.0 <= interval_us <= _LONGEST_INTERVAL_US or 0.0 < interval_us < 1000.0:
-            return DENIED
-        if interval_us == 0.0:
-            channel.restore(kind, self.now)
-        else:
-            channel.set_interval(kind, interval_us / 1e6 if interval_us > 0.0 else None, self.now)
-        return ACCEPTED
-
-    def _get_message_interval(self, command: Command, channel: Channel) -> int:
-        kind = command.integer(1)
-        if not 0 <= kind <= _GREATEST_MESSAGE_ID:
-            return DENIED
-        interval = channel.interval(kind)
-        interval_us = 0 if kind not in BUILDERS else -1 if interval is None else round(interval * 1e6)
-        channel.put(mavlink.MAVLink_message_interval_message(kind, interval_us))
-        return ACCEPTED
-
-    def _request_message(self, command: Command, channel: Channel) -> int:
-        builder = BUILDERS.get(command.integer(1))
-        if builder is None:
-            return self.UNKNOWN_REQUEST_RESULT
-        message = builder(self)
-        if message is None:
-            return FAILED
-        channel.put(message)
-        return ACCEPTED
-
-    def _request_capabilities(self, command: Command, channel: Channel) -> int:
-        channel.put(BUILDERS[mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION](self))
-        return ACCEPTED
-
-    def _get_home_position(self, command: Command, channel: Channel) -> int:
-        message = BUILDERS[mavlink.MAVLINK_MSG_ID_HOME_POSITION](self)
-        if message is None:
-            return DENIED
-        channel.put(message)
-        return ACCEPTED
 
     def _reboot_command(self, command: Command) -> int:
         if command.param(1) != 1.0:
@@ -600,32 +530,5 @@ _HANDLERS: dict[str, Callable[[SimVehicle, Any, Channel], None]] = {
     "SET_MODE": SimVehicle._on_set_mode,
     "SET_POSITION_TARGET_GLOBAL_INT": SimVehicle._on_setpoint,
     "SET_POSITION_TARGET_LOCAL_NED": SimVehicle._on_setpoint,
-    "REQUEST_DATA_STREAM": SimVehicle._on_request_data_stream,
-    "PARAM_REQUEST_LIST": SimVehicle._on_parameter,
-    "PARAM_REQUEST_READ": SimVehicle._on_parameter,
-    "PARAM_SET": SimVehicle._on_parameter,
-    "MISSION_REQUEST_LIST": SimVehicle._on_mission_request_list,
-    "MISSION_COUNT": SimVehicle._on_mission_write,
-    "MISSION_CLEAR_ALL": SimVehicle._on_mission_write,
-    "TIMESYNC": SimVehicle._on_timesync,
-}
-
-#: What a REQUEST_DATA_STREAM asks for, by stream.
-STREAMS: dict[int, tuple[int, ...]] = {
-    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
-        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
-        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
-        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
-    ),
-    mavlink.MAV_DATA_STREAM_POSITION: (
-        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-    ),
-    mavlink.MAV_DATA_STREAM_EXTRA1: (mavlink.MAVLINK_MSG_ID_ATTITUDE,),
-    mavlink.MAV_DATA_STREAM_EXTRA2: (mavlink.MAVLINK_MSG_ID_VFR_HUD,),
-    mavlink.MAV_DATA_STREAM_EXTRA3: (
-        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
-        mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
-        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
-    ),
+    **QUESTIONS,
 }
