@@ -88,7 +88,7 @@ def test_from_goal_to_hover_and_back_to_hold(
     graph: Graph, start_node: Callable[..., NodeProcess], fleet_file: Path, fleet: FleetConfig, sim: SimFleet
 ) -> None:
     ears = Ears(graph, fleet.names)
-    bridge = start_node("bridge", {"fleet_file": str(fleet_file)})
+    bridge = start_node("bridge", {"fleet_file": str(fleet_file), "plan_timeout_s": 0.0})
     goals, plans = publisher(graph, PoseStamped, "uav1/goal_pose"), publisher(graph, Deployment, "deployment")
 
     first = goal(graph, 30.0, 40.0, 50.0)
@@ -173,6 +173,28 @@ def test_a_pilot_keeps_the_aircraft_until_an_operator_asks(
     ears.until("uav1", lambda s: s.goal_state == VehicleState.GOAL_REACHED, "reached")
     assert math.dist(sim["uav1"].position, (0.0, 100.0, 50.0)) < 1.5
     assert bridge.stop(signal.SIGTERM) == 0
+
+
+def test_a_planner_that_falls_silent_means_hold(
+    graph: Graph, start_node: Callable[..., NodeProcess], fleet_file: Path, fleet: FleetConfig, sim: SimFleet
+) -> None:
+    """The test plays the planner: it publishes the deployment, and diagnostics under its own node's name."""
+    ears = Ears(graph, fleet.names)
+    start_node("bridge", {"fleet_file": str(fleet_file), "plan_timeout_s": 3.0})
+    goals, plans = publisher(graph, PoseStamped, "uav1/goal_pose"), publisher(graph, Deployment, "deployment")
+    diagnostics = graph.publisher(DiagnosticArray, "/diagnostics", readers=2)
+    alive = DiagnosticArray(status=[DiagnosticStatus(name=f"{graph.node.get_fully_qualified_name()}: deployment")])
+    heartbeat = graph.node.create_timer(0.2, lambda: diagnostics.publish(alive))
+    far = goal(graph, 4500.0, 0.0, 50.0)
+    goals.publish(far)
+    plans.publish(plan(far.header.stamp, 7, "uav1"))
+    assert graph.call(FleetCommand, "bridge/launch", FleetCommand.Request(uavs=["uav1"])).success
+    ears.until("uav1", lambda s: s.goal_state == VehicleState.GOAL_EN_ROUTE, "en route")
+    graph.spin(4.0)
+    assert ears.states["uav1"][-1].goal_state == VehicleState.GOAL_EN_ROUTE, "longer than the time-out, but alive"
+    heartbeat.cancel()
+    held = ears.until("uav1", lambda s: s.goal_state == VehicleState.GOAL_NONE, "holds")
+    assert "planner silent" in held.goal_reason and held.goal_plan_id == 7
 
 
 def test_unknown_names_and_vehicles_never_heard(

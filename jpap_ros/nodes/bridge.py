@@ -52,7 +52,7 @@ class BridgeNode(Node):
         self._map_frame: str = settings["map_frame"]
         self._use_yaw: bool = settings["use_goal_yaw"]
         self._announce_plans: bool = settings["announce_plans"]
-        self._announced = 0
+        self._plan_id: int | None = None
         self._names = fleet.names
         self._book = GoalBook()
         self._fresh: dict[str, AircraftSnapshot] = {}
@@ -98,7 +98,6 @@ class BridgeNode(Node):
 
     def _on_goal(self, name: str, message: PoseStamped) -> None:
         assert self._controller is not None
-        self._controller.planner_alive()
         frame = message.header.frame_id
         if frame != self._map_frame:
             why = f"goal_pose header.frame_id must be {self._map_frame!r}, got {frame!r}"
@@ -120,8 +119,8 @@ class BridgeNode(Node):
         self._book.put_plan((stamp.sec, stamp.nanosec), message.plan_id, [cell.uav for cell in message.cells])
         for name in self._names:
             self._follow_book(name)
-        if self._announce_plans and message.plan_id != self._announced:
-            self._announced = message.plan_id
+        new, self._plan_id = message.plan_id != self._plan_id, message.plan_id
+        if new and self._announce_plans:
             for cell in message.cells:
                 if cell.uav in self._names:
                     goal = cell.goal_pose.position
@@ -140,8 +139,10 @@ class BridgeNode(Node):
             self._controller.set_goal(name, entry.goal)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        """Whoever publishes the deployment and says how it is, lives."""
+        """Whoever publishes the deployment and says how it is, lives; without a deployment there is nobody to miss."""
         assert self._controller is not None
+        if self._plan_id is None:
+            return
         planners = [
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self.get_publishers_info_by_topic(self.resolve_topic_name("deployment"))

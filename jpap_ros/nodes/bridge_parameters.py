@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from jpap_ros.fleet.config import FleetConfig
+from jpap_ros.fleet.transit_plan import TransitLimits
 from jpap_ros.mavlink.aircraft import AircraftSettings
 from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_controller import ControllerSettings
 from jpap_ros.mavlink.guards import GoalLimits
 from jpap_ros.nodes.parameters import Param, fleet_file
+
+_SEPARATION = "Aircraft in the air stay this far apart on their ways; 0: each flies straight to its goal [m]"
 
 
 def bridge_parameters() -> tuple[Param, ...]:
@@ -37,8 +40,24 @@ def bridge_parameters() -> tuple[Param, ...]:
         Param("ready_timeout_s", 30.0, "How long bridge/launch waits for GPS and checks [s]", 0.0, 600.0, fixed=True),
         Param("link_timeout_s", 4.0, "A vehicle is lost after this long without heartbeat [s]", 1.5, 60.0, fixed=True),
         Param(
-            "plan_timeout_s", 10.0, "Hold when the planner is silent for so long; 0: never [s]", 0.0, 1e6, fixed=True
+            "plan_timeout_s",
+            10.0,
+            "Hold when the planner of a deployment is silent for so long; 0: never [s]",
+            0.0,
+            1e6,
+            fixed=True,
         ),
+        Param("min_separation_m", 10.0, _SEPARATION, 0.0, 1000.0, fixed=True),
+        Param(
+            "tracking_error_m", 2.0, "Farthest an aircraft may be from its moving setpoint [m]", 0.1, 50.0, fixed=True
+        ),
+        Param("transit_speed_m_s", 8.0, "Speed over ground on the way to a goal [m/s]", 0.1, 50.0, fixed=True),
+        Param("transit_climb_m_s", 1.5, "Vertical speed on the way to a goal [m/s]", 0.1, 20.0, fixed=True),
+        Param("transit_acceleration_m_s2", 1.5, "Acceleration on the way to a goal [m/s^2]", 0.1, 10.0, fixed=True),
+        Param(
+            "transit_min_height_m", 20.0, "No way to a goal leads lower than this or the goal [m]", 1.0, 5e3, fixed=True
+        ),
+        Param("transit_max_height_m", 120.0, "Highest layer used to pass one another [m]", 1.0, 5000.0, fixed=True),
         Param("max_goal_jump_m", 5000.0, "Most distance from aircraft to a new goal [m]", 1.0, 100_000.0, fixed=True),
     )
 
@@ -56,8 +75,23 @@ def controller_settings(values: dict[str, Any], fleet: FleetConfig) -> Controlle
             transport=Transport(values["transport"]),
             limits=GoalLimits(fleet.fence, values["max_goal_jump_m"]),
         ),
+        traffic=_traffic(values),
         plan_timeout_s=values["plan_timeout_s"],
         launch_stagger_s=values["launch_stagger_s"],
+    )
+
+
+def _traffic(values: dict[str, Any]) -> TransitLimits | None:
+    if values["min_separation_m"] == 0.0:
+        return None
+    return TransitLimits(
+        min_separation_m=values["min_separation_m"],
+        tracking_error_m=values["tracking_error_m"],
+        speed_m_s=values["transit_speed_m_s"],
+        vertical_speed_m_s=values["transit_climb_m_s"],
+        acceleration_m_s2=values["transit_acceleration_m_s2"],
+        min_altitude_m=values["transit_min_height_m"],
+        max_altitude_m=values["transit_max_height_m"],
     )
 
 
