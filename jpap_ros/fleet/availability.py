@@ -167,7 +167,9 @@ class Roster:
     uncrewed : tuple of int
         Cells for which there is no aircraft: their devices have to go to the neighbours.
     usable : int
-        Aircraft that can serve a cell: what the planner may plan with.
+        Aircraft that can serve a cell, the crew and those that are free: what the planner may plan with.
+    free : tuple of str
+        Aircraft without a duty that can be given one.
     reserves : tuple of str
         Aircraft on the ground that could be launched.
     obstacles : tuple of Obstacle
@@ -182,6 +184,7 @@ class Roster:
     actions: tuple[Action, ...]
     uncrewed: tuple[int, ...]
     usable: int
+    free: tuple[str, ...]
     reserves: tuple[str, ...]
     obstacles: tuple[Obstacle, ...]
     events: tuple[str, ...]
@@ -243,14 +246,16 @@ class FleetLife:
         self._send_reliefs(free, stations)
         goals = {uav: stations[cell].position for cell, uav in self._crew.items()}
         goals |= {uav: self._waiting_place(stations[cell]) for cell, uav in self._reliefs.items()}
+        free = [vehicle for vehicle in vehicles if self._is_free(now_s, vehicle)]
         return Roster(
             crew=dict(self._crew),
             reliefs=dict(self._reliefs),
             goals=goals,
             actions=self._actions(now_s, fleet),
             uncrewed=tuple(cell for cell in stations if cell not in self._crew),
-            usable=len(self._crew) + sum(self._is_free(now_s, vehicle) for vehicle in vehicles),
-            reserves=tuple(v.name for v in vehicles if self._is_free(now_s, v) and not v.in_air),
+            usable=len(self._crew) + len(free),
+            free=tuple(vehicle.name for vehicle in free),
+            reserves=tuple(vehicle.name for vehicle in free if not vehicle.in_air),
             obstacles=tuple(
                 Obstacle(v.name, v.position, radius_m=self._policy.obstacle_radius_m)
                 for v in vehicles

@@ -203,6 +203,11 @@ def _rate_bound(full: Deployment | None, settings: PlanSettings) -> float:
     return settings.bandwidth_hz * full.average_uav_rate_bound
 
 
+def with_crew(plan: FleetPlan, crew: Mapping[int, str]) -> FleetPlan:
+    """Return a plan with these aircraft in its cells; a cell that is not among them has none."""
+    return replace(plan, cells=tuple(replace(cell, uav=crew.get(cell.id, "")) for cell in plan.cells))
+
+
 def _lost_cells(present: FleetPlan, available: Sequence[Aircraft], demands: Demands) -> list[int]:
     """Cells whose aircraft is gone and for which there is no other; those of least weight where some can be kept."""
     names = {craft.name for craft in available}

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,10 +21,11 @@ from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from jpap_ros.fleet.availability import Roster
 from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.fleet.events import Events
-from jpap_ros.fleet.plan import SLOW_SCHEMES, PlanSettings, Weighed
+from jpap_ros.fleet.plan import SLOW_SCHEMES, PlanSettings, Weighed, with_crew
 from jpap_ros.fleet.plan_store import PlanStoreError, load_plan, save_plan
 from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.mavlink.geodesy import LocalFrame
@@ -33,6 +35,7 @@ from jpap_ros.nodes.parameters import declare, values
 from jpap_ros.nodes.planner_diagnostics import PlannerHealth
 from jpap_ros.nodes.planner_intake import DeviceIntake
 from jpap_ros.nodes.planner_jobs import EventJob, WeighJob
+from jpap_ros.nodes.planner_keeper import FleetKeeper, fleet_policy
 from jpap_ros.nodes.planner_outputs import PlannerOutputs
 from jpap_ros.nodes.planner_parameters import (
     PLAN_PARAMETERS,
@@ -44,6 +47,9 @@ from jpap_ros.nodes.process import run
 from jpap_ros.nodes.qos import DEVICES, LATCHED
 from jpap_ros.nodes.worker import Worker
 from jpap_ros.planning.devices import Changes, Device
+
+#: How often the fleet's life is looked after [s].
+_LIFE_PERIOD_S = 0.5
 
 #: At the end, how long to wait for a plan that is being made [s].
 _STOP_PATIENCE_S = 2.0
@@ -78,6 +84,9 @@ class PlannerNode(ManagedNode):
         self._weighed: Request | None = None
         self._planned_with: PlanSettings | None = None
         self._asked: list[Future] = []
+        self._keeper: FleetKeeper | None = None
+        self._roster: Roster | None = None
+        self._planned_for = 0
         self._made = ExitStack()
 
     # Transitions
@@ -91,6 +100,11 @@ class PlannerNode(ManagedNode):
         self._outputs = PlannerOutputs(self, self._fleet.names)
         self._made.callback(self._outputs.close)
         self._restore()
+        self._roster = None
+        if self._settings["manage_fleet"]:
+            crew = self._health.plan.names if self._health.plan is not None else {}
+            self._keeper = FleetKeeper(self, self._fleet.names, fleet_policy(self._settings), crew)
+            self._made.callback(self._keeper.close)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._made.callback(self.destroy_publisher, self._diagnostics_out)
         self._subscribe(DeviceUpdate, "devices", self._on_devices, DEVICES)
@@ -108,6 +122,8 @@ class PlannerNode(ManagedNode):
         self._result = self.create_guard_condition(self._on_result)
         self._made.callback(self.destroy_timer, self._quiet)
         self._made.callback(self.destroy_timer, every_second)
+        if self._keeper is not None:
+            self._made.callback(self.destroy_timer, self.create_timer(_LIFE_PERIOD_S, self._on_life, clock=steady))
         self._answer = self.create_guard_condition(self._on_solved)
         self._made.callback(self.destroy_guard_condition, self._result)
         self._made.callback(self.destroy_guard_condition, self._answer)
@@ -128,8 +144,9 @@ class PlannerNode(ManagedNode):
         self._health.plan = stored.plan(self._all_aircraft())
         self._events.add(f"planner restarted, going on from plan {stored.plan_id}")
 
-    def _store(self, devices: Sequence[Device], settings: PlanSettings, plan: FleetPlan) -> None:
-        if not self._settings["state_file"]:
+    def _store(self, devices: Sequence[Device], settings: PlanSettings) -> None:
+        plan = self._health.plan
+        if not self._settings["state_file"] or plan is None:
             return
         path = Path(self._settings["state_file"])
         try:
@@ -187,7 +204,7 @@ class PlannerNode(ManagedNode):
         self._health.plan_id = max(self._health.plan_id, state.goal_plan_id)
         if before.connected != after.connected:
             self.get_logger().info(f"{name} is {'heard' if after.connected else 'no longer heard'}")
-        if before.available == after.available:
+        if before.available == after.available or self._keeper is not None:
             return
         self.get_logger().info(f"{name} {after.unavailable or 'is available'}")
         plan = self._health.plan
@@ -196,6 +213,25 @@ class PlannerNode(ManagedNode):
         if self._in_work is not None or (wanted if after.available else has_cell):
             self._events.add(f"{name} {after.unavailable or 'is available'}")
             self._touch()
+
+    def _on_life(self) -> None:
+        """Look after the fleet; plan anew where its life changes what can be served."""
+        if not self.active:
+            return
+        roster, plan = self._keep_fleet(self._health.plan), self._health.plan
+        for event in roster.events:
+            self._events.add(event)
+        changed = roster.usable != self._planned_for
+        if plan is not None and changed and (plan.uavs_needed > len(plan.cells) or roster.usable < len(plan.cells)):
+            self._events.add(f"{roster.usable} aircraft are usable")
+        if self._events:
+            self._touch()
+
+    def _keep_fleet(self, plan: FleetPlan | None) -> Roster:
+        assert self._keeper is not None
+        altitude_m = self._settings["altitude_m"]
+        self._roster = self._keeper.step(self._states, plan, self._intake.devices, altitude_m)
+        return self._roster
 
     def _on_parameters(self, changed: dict[str, Any]) -> None:
         self._settings = values(self, self._params)
@@ -262,7 +298,7 @@ class PlannerNode(ManagedNode):
             devices=self._intake.devices,
             settings=settings,
             aircraft=self._all_aircraft(),
-            present=plan,
+            present=with_crew(plan, self._roster.crew) if plan is not None and self._roster is not None else plan,
             scratch=self._settings["replanning"] == "scratch" or settings != self._planned_with,
             policy=replanning_policy(self._settings),
             events=self._events,
@@ -272,6 +308,7 @@ class PlannerNode(ManagedNode):
         )
         self._events, self._waiting, self._first_event_s = Events(), [], None
         self._in_work, self._overdue = job, False
+        self._planned_for = job.request.uavs
         self._worker.submit(job)
 
     def _on_result(self) -> None:
@@ -309,7 +346,7 @@ class PlannerNode(ManagedNode):
         before, self._planned_with = self._health.plan, job.settings
         self._publish(plan, str(job.events), job.settings.link.altitude_m, job.started_s)
         self._health.latency_s = time.monotonic() - job.first_event_s
-        self._store(job.devices, job.settings, plan)
+        self._store(job.devices, job.settings)
         self._warn_unserved(job.devices, plan, before)
         if plan.from_scratch or job.weighs:
             self._weighed = job.request
@@ -369,7 +406,7 @@ class PlannerNode(ManagedNode):
         if result.adopted or news:
             reason = f"plan from scratch: {result.reason}" if result.adopted else "bound proven, the same plan"
             self._publish(result.plan, reason, job.request.settings.link.altitude_m, job.started_s)
-            self._store(job.request.devices, job.request.settings, result.plan)
+            self._store(job.request.devices, job.request.settings)
             self._warn_unserved(job.request.devices, result.plan, job.present)
         else:
             self.get_logger().debug(f"plan from scratch not flown: {result.reason}")
@@ -389,9 +426,15 @@ class PlannerNode(ManagedNode):
     def _publish(self, plan: FleetPlan, reason: str, altitude_m: float, started_s: float) -> None:
         health = self._health
         health.plan_id += 1
+        reliefs = {}
+        if self._keeper is not None:
+            roster = self._keep_fleet(plan)
+            plan = with_crew(plan, roster.crew)
+            reliefs = {name: roster.goals[name] for name in roster.reliefs.values()}
+            reason = ", ".join([reason, *roster.events])
         now = time.monotonic()
         self._outputs.publish(
-            plan, health.plan, self._header(), health.plan_id, reason, altitude_m, planning_time_s=now - started_s
+            plan, health.plan, self._header(), health.plan_id, reason, altitude_m, now - started_s, reliefs
         )
         health.plan, health.plan_made_s, health.planning_s, health.failure = plan, now, now - started_s, ""
         self.get_logger().info(
@@ -443,7 +486,11 @@ class PlannerNode(ManagedNode):
     def _aircraft(self, name: str) -> Aircraft:
         plan = self._health.plan
         goal = next((cell for cell in plan.cells if cell.uav == name), None) if plan is not None else None
-        return conversions.aircraft_of(self._fleet[name], self._states.get(name), goal)
+        craft = conversions.aircraft_of(self._fleet[name], self._states.get(name), goal)
+        if self._keeper is None:
+            return craft
+        usable = self._roster is not None and (name in self._roster.crew.values() or name in self._roster.free)
+        return replace(craft, unavailable="" if usable else "cannot be given a cell now")
 
     def _all_aircraft(self) -> tuple[Aircraft, ...]:
         return tuple(self._aircraft(name) for name in self._fleet.names)

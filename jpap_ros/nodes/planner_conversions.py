@@ -94,7 +94,7 @@ def deployment_message(
         cells=[
             Cell(
                 uav=cell.uav,
-                goal_pose=_pose(cell, altitude_m),
+                goal_pose=_pose((*cell.position, altitude_m)),
                 device_ids=list(cell.device_ids),
                 power_w=list(cell.power_w),
                 rate=list(cell.rate),
@@ -117,7 +117,12 @@ def deployment_message(
 
 def goal_pose(cell: FleetCell, header: Header, altitude_m: float) -> PoseStamped:
     """Where the cell's aircraft should hover. A hover has no heading of its own: the orientation is the identity."""
-    return PoseStamped(header=header, pose=_pose(cell, altitude_m))
+    return relief_pose((*cell.position, altitude_m), header)
+
+
+def relief_pose(place: tuple[float, float, float], header: Header) -> PoseStamped:
+    """Return a goal at a place, east, north and up [m]."""
+    return PoseStamped(header=header, pose=_pose(place))
 
 
 def power_allocation(uav: str, cell: FleetCell | None, header: Header, plan_id: int) -> PowerAllocation:
@@ -137,11 +142,8 @@ def listed(items: Iterable[object], limit: int = 5) -> str:
     return "; ".join(texts[:limit]) + (f"; and {more} more" if more > 0 else "")
 
 
-def _pose(cell: FleetCell, altitude_m: float) -> Pose:
-    return Pose(
-        position=Point(x=cell.position[0], y=cell.position[1], z=altitude_m),
-        orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
-    )
+def _pose(place: tuple[float, float, float]) -> Pose:
+    return Pose(position=Point(x=place[0], y=place[1], z=place[2]), orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
 
 
 def _duration(seconds: float) -> Duration:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from typing import Any
 
@@ -42,8 +42,12 @@ class PlannerOutputs:
         reason: str,
         altitude_m: float,
         planning_time_s: float,
+        reliefs: Mapping[str, tuple[float, float, float]],
     ) -> None:
-        """Publish a plan; aircraft that had a cell `before` and have none now get an empty allocation."""
+        """Publish a plan; aircraft that had a cell `before` and have none now get an empty allocation.
+
+        Those of `reliefs` get a goal of their own [m], east, north and up, though they have no cell.
+        """
         # The deployment first: whoever gets a goal can look up what it belongs to.
         self._deployment.publish(
             conversions.deployment_message(plan, header, plan_id, reason, altitude_m, planning_time_s)
@@ -54,6 +58,8 @@ class PlannerOutputs:
             if cell.uav:
                 self._goals[cell.uav].publish(conversions.goal_pose(cell, header, altitude_m))
                 self._powers[cell.uav].publish(conversions.power_allocation(cell.uav, cell, header, plan_id))
+        for name, place in reliefs.items():
+            self._goals[name].publish(conversions.relief_pose(place, header))
         freed = set(before.names.values()) - set(plan.names.values()) if before is not None else set()
         for name in sorted(freed):
             self._powers[name].publish(conversions.power_allocation(name, None, header, plan_id))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
+from jpap_ros.fleet.availability import FleetPolicy
 from jpap_ros.fleet.plan import PlanSettings
 from jpap_ros.nodes.parameters import Param, fleet_file
 from jpap_ros.planning import SCHEMES, LinkBudget
@@ -12,6 +13,7 @@ from jpap_ros.planning.replanning_decision import ReplanningPolicy
 
 _LINK = LinkBudget()
 _POLICY = ReplanningPolicy()
+_LIFE = FleetPolicy()
 
 
 def planner_parameters() -> tuple[Param, ...]:
@@ -52,6 +54,31 @@ def planner_parameters() -> tuple[Param, ...]:
         Param("launch_cost", _POLICY.launch_cost, "Its cost for each UAV launched or sent home", 0.0, 1e6),
         Param("interruption_cost", _POLICY.interruption_cost, "Its cost for each weight interrupted", 0.0, 1e6),
         Param("tolerance", _POLICY.tolerance, "What gain must exceed cost by for it to be flown", 0.0, 1e6),
+        Param(
+            "manage_fleet",
+            False,
+            "Launch, relieve and send home aircraft through the bridge; else only an operator does",
+            fixed=True,
+        ),
+        Param("low_battery", _LIFE.low_battery, "Share at which an aircraft is relieved", 0.0, 1.0, fixed=True),
+        Param("critical_battery", _LIFE.critical_battery, "Share at which it goes home anyway", 0.0, 1.0, fixed=True),
+        Param("ready_battery", _LIFE.ready_battery, "Share from which one may be launched", 0.0, 1.0, fixed=True),
+        Param(
+            "lost_after_s",
+            _LIFE.lost_after_s,
+            "Silence after which an aircraft's cell goes to another [s]",
+            0.0,
+            3600.0,
+            fixed=True,
+        ),
+        Param(
+            "idle_return_s",
+            _LIFE.idle_return_s,
+            "Time after which one in the air without a cell is sent home [s]",
+            0.0,
+            86400.0,
+            fixed=True,
+        ),
         Param("device_timeout_s", 0.0, "A device not reported for so long has left; 0: never [s]", 0.0, 1e7),
     )
 
