@@ -21,7 +21,7 @@ ROTATION = [name for name in SCHEMES if not name.startswith("jpap")]
 ORDER = [name for name in SCHEMES if not name.startswith("kmeans")]
 
 each_scheme = pytest.mark.parametrize("scheme", list(SCHEMES))
-quick = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quick = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 class Field(NamedTuple):
@@ -92,29 +92,40 @@ def test_no_scheme_beats_the_optimum(scheme: str, field: Field) -> None:
         assert deployment.min_uavs_bound <= len(best.uav_positions)
 
 
+def assert_equally_good(one: Deployment, other: Deployment) -> None:
+    """What two answers of the scheme `optimal` to the same problem have in common, however much time each had.
+
+    The least number of UAVs, proven; and neither has more rate than the other proved possible.
+    """
+    assert one.proven_optimal and other.proven_optimal
+    assert len(one.uav_positions) == len(other.uav_positions)
+    assert one.average_uav_rate_bound is not None and other.average_uav_rate_bound is not None
+    assert one.average_uav_rate <= other.average_uav_rate_bound + 1e-6
+    assert other.average_uav_rate <= one.average_uav_rate_bound + 1e-6
+
+
 @each_scheme
 @pytest.mark.parametrize("seed", range(3))
 def test_the_same_call_gives_the_same_deployment(scheme: str, seed: int) -> None:
     positions, rates = random_field(seed)
     first, second = (solve(positions, rates, scheme, seed=seed) for _ in range(2))
+    if scheme == "optimal":
+        assert_equally_good(first, second)
+        return
     assert np.array_equal(first.uav_positions, second.uav_positions)
     assert np.array_equal(first.serving_uav, second.serving_uav)
     assert np.array_equal(first.power_w, second.power_w)
 
 
 def assert_moved(before: Deployment, after: Deployment, moved: np.ndarray) -> None:
-    """The same cells, each UAV moved with the devices.
-
-    The scheme `optimal` may choose between positions of the same rate: at high SNR two devices have two of them, one
-    near each. For it the rate of each cell is compared instead.
-    """
+    """The same cells, each UAV moved with the devices."""
+    if before.scheme == "optimal":
+        assert_equally_good(before, after)
+        return
     assert cells(after) == cells(before)
     at = before.serving_uav, after.serving_uav
-    if before.scheme == "optimal":
-        assert after.uav_rate[at[1]] == pytest.approx(before.uav_rate[at[0]], abs=2e-3)
-    else:
-        assert after.uav_positions[at[1]] == pytest.approx(moved[at[0]], abs=1e-4)
-        assert after.rate == pytest.approx(before.rate, abs=1e-6)
+    assert after.uav_positions[at[1]] == pytest.approx(moved[at[0]], abs=1e-4)
+    assert after.rate == pytest.approx(before.rate, abs=1e-6)
 
 
 @each_scheme
@@ -153,8 +164,11 @@ def test_the_order_of_devices_does_not_matter(scheme: str, seed: int) -> None:
     positions, rates = random_field(seed)
     order = np.random.default_rng(seed).permutation(len(rates))
     before, after = solve(positions, rates, scheme), solve(positions[order], rates[order], scheme)
+    if scheme == "optimal":
+        assert_equally_good(before, after)
+        return
     assert {frozenset(order[list(cell)].tolist()) for cell in cells(after)} == cells(before)
-    assert after.average_uav_rate == pytest.approx(before.average_uav_rate, abs=2e-3)
+    assert after.rate == pytest.approx(before.rate[order], abs=1e-6)
 
 
 @each_scheme
@@ -168,6 +182,9 @@ def test_power_and_noise_scale_together(scheme: str, shift_db: float) -> None:
         noise_power_dbm=LINK.noise_power_dbm + shift_db,
     )
     before, after = solve(positions, rates, scheme), solve(positions, rates, scheme, link)
+    if scheme == "optimal":
+        assert_equally_good(before, after)
+        return
     assert cells(after) == cells(before)
     assert after.rate == pytest.approx(before.rate, abs=1e-6)
     assert after.power_w == pytest.approx(before.power_w * 10 ** (shift_db / 10), rel=1e-9)
