@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from test_fleet_controller import Watch, commands, order, setpoints
+from fleet_rig import Watch, commands, order, setpoints
 
 from jpap_ros.fleet.config import FleetConfig, LinkUrl, MapOrigin, UavConfig
 from jpap_ros.mavlink.aircraft import AircraftSettings
