@@ -105,6 +105,7 @@ class TrafficControl:
     Parameters
     ----------
     limits : TransitLimits
+        May be replaced at any time; transitions under way go on as they were planned.
     obstacle_radius_m : float
         How far an aircraft that does not obey may get from where it is while others react [m].
 
@@ -119,10 +120,11 @@ class TrafficControl:
     """
 
     def __init__(self, limits: TransitLimits, obstacle_radius_m: float = 5.0, following_error_m: float = 10.0) -> None:
-        self._limits = limits
+        self.limits = limits
         self._obstacle_radius_m = obstacle_radius_m
         self._resting: dict[str, Vector] = {}
         self._flights: list[_Flight] = []
+        self._aboard: dict[str, _Flight] = {}
         self._held: dict[str, str] = {}
         self._fleet: Mapping[str, Traveller] = {}
         self._tried: _Request | None = None
@@ -145,17 +147,18 @@ class TrafficControl:
         self._adopt(now)
         self._ask(now, obstacles)
         self._adopt(now)
+        self._aboard = {name: flight for flight in self._flights for name in flight.convoy.names}
 
     def setpoint(self, name: str, now: float) -> Setpoint | None:
         """Where an aircraft should be now; None if it is not under control."""
         if name in self._resting:
             return Setpoint(self._resting[name])
-        for flight in self._flights:
-            if name in flight.convoy.names:
-                index = flight.convoy.names.index(name)
-                positions, velocities = flight.convoy.at(now - flight.started)
-                return Setpoint(_vector(positions[index]), _vector(velocities[index]))
-        return None
+        if name not in self._aboard:
+            return None
+        flight = self._aboard[name]
+        index = flight.convoy.names.index(name)
+        positions, velocities = flight.convoy.at(now - flight.started)
+        return Setpoint(_vector(positions[index]), _vector(velocities[index]))
 
     def held(self, name: str) -> str:
         """Why an aircraft is not on its way to its goal; empty if it is, or is there."""
@@ -192,7 +195,7 @@ class TrafficControl:
             return False
         positions, _ = flight.convoy.at(traveller.heard_at - flight.started)
         wanted = positions[flight.convoy.names.index(name)]
-        return math.dist(traveller.position, _vector(wanted)) > self._limits.tracking_error_m
+        return math.dist(traveller.position, _vector(wanted)) > self.limits.tracking_error_m
 
     def _obeys(self, name: str) -> bool:
         return name in self._fleet and self._fleet[name].obeys
@@ -226,7 +229,7 @@ class TrafficControl:
         if not obstacles:
             return False
         rest = flight.rest(now).waypoints
-        wanted = self._limits.min_separation_m
+        wanted = self.limits.min_separation_m
         for obstacle in obstacles:
             for path in np.swapaxes(rest, 0, 1):
                 near = polyline_distance(path, obstacle.column) - obstacle.radius_m
@@ -252,7 +255,7 @@ class TrafficControl:
             return
         self._tried, self._tried_at = request, now
         committed = [flight.rest(now) for flight in self._flights]
-        future = self._worker.submit(plan_transit, request.resting, goals, self._limits, obstacles, committed)
+        future = self._worker.submit(plan_transit, request.resting, goals, self.limits, obstacles, committed)
         self._asked = request, future
         wait([future], SHORT_WAIT_S)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -51,6 +51,15 @@ class TransitLimits:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)!r}")
         if self.max_altitude_m < self.min_altitude_m:
             raise ValueError(f"max_altitude_m is {self.max_altitude_m}, below min_altitude_m {self.min_altitude_m}")
+
+    def faster(self, rate: float) -> TransitLimits:
+        """Return the limits of aircraft that live `rate` times as fast as the clock, as in a simulation."""
+        return replace(
+            self,
+            speed_m_s=self.speed_m_s * rate,
+            vertical_speed_m_s=self.vertical_speed_m_s * rate,
+            acceleration_m_s2=self.acceleration_m_s2 * rate**2,
+        )
 
     @property
     def planned_separation_m(self) -> float:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import UavConfig
+from jpap_ros.fleet.traffic import Setpoint, Traveller
 from jpap_ros.mavlink.authority import Authority, Holder
 from jpap_ros.mavlink.autopilots import (
     REGISTRY,
@@ -38,6 +39,8 @@ from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState, Vehicle
 
 #: Commands in a row without an answer, while the vehicle is heard well, before that is reported.
 UNANSWERED_SUSPICIOUS = 3
+#: Least rate of targets that move [Hz].
+MOVING_TARGET_HZ = 5.0
 #: The autopilot's words from this long before a takeover belong to it [s].
 WORDS_BEFORE_S = 5.0
 _MULTICOPTERS = frozenset(
@@ -141,6 +144,9 @@ class Aircraft:
         #: Set by who knows the links: the system id is heard from several addresses; something else is wrong there.
         self.duplicates = ""
         self.link_problem = ""
+        #: Where traffic control wants it now; None: it has no part in it. And why it has to wait there.
+        self.setpoint: Setpoint | None = None
+        self.way_closed = ""
         self._frame = frame
         self._send = send
         self._deadman = deadman
@@ -152,6 +158,7 @@ class Aircraft:
         self._no_goal_because = ""
         self._goal_begun = False
         self._hold_target: Target | None = None
+        self._rest: tuple[Setpoint, Target] | None = None
         self._send_at = -math.inf
         self._sent_target: Target | None = None
         self._reposition: Pending | None = None
@@ -189,6 +196,17 @@ class Aircraft:
         self._goal_refused = reason if refused else ""
         self._no_goal_because = "" if refused else reason
         self.life.distance_m = math.nan
+
+    def traveller(self) -> Traveller:
+        """How traffic control should see it now."""
+        in_hand = self.streaming and self.goals_open and self._can_send() and self.vehicle.in_air
+        flies = self.vehicle.in_air or not self.vehicle.on_ground
+        goal = None
+        if self._goal is not None and self._obstacle() is None:
+            goal = (self._goal.east_m, self._goal.north_m, self._goal.up_m)
+        position = self.vehicle.position
+        heard_at = -math.inf if position is None else position.received_at
+        return Traveller(self.enu_m, in_hand and self.enu_m is not None, flies, goal, heard_at)
 
     # --- what an operator wants
 
@@ -335,6 +353,8 @@ class Aircraft:
 
     def _fly(self) -> None:
         obstacle = self._obstacle()
+        if obstacle is None and self.way_closed:
+            obstacle = GoalState.NONE, f"waiting for a free way: {self.way_closed}"
         if obstacle is not None:
             self.life.set_aside(*obstacle)
             self._goal_begun = False
@@ -343,15 +363,40 @@ class Aircraft:
         if not self.streaming or not self._can_send():
             self._sent_target = None
             return
-        target = self._goal_target if obstacle is None else self._hold() or self._sent_target
+        if self.setpoint is not None:
+            target = self._target_at(self.setpoint)
+        else:
+            target = self._goal_target if obstacle is None else self._hold() or self._sent_target
         if target is None:
             return
         if obstacle is None:
             self._hold_target = None
+            if self._goal_begun and self.setpoint is not None:
+                self.life.moves((target.lat_e7, target.lon_e7))
+            else:
+                self.life.sent((target.lat_e7, target.lon_e7), self.now)
             self._goal_begun = True
-            self.life.sent((target.lat_e7, target.lon_e7), self.now)
             self.life.tick(self.now, self.vehicle.words_since(self.life.sent_at))
         self._put_on_wire(target)
+
+    def _target_at(self, setpoint: Setpoint) -> Target | None:
+        """Target for a place that traffic control gives."""
+        goal = self._goal
+        at_rest = setpoint.velocity == (0.0, 0.0, 0.0)
+        if at_rest and goal is not None and setpoint.position == (goal.east_m, goal.north_m, goal.up_m):
+            return self._goal_target
+        if at_rest and self._rest is not None and self._rest[0] == setpoint:
+            return self._rest[1]
+        try:
+            target = target_of(Goal(*setpoint.position), self._frame)
+        except GoalRefused:
+            # An aircraft nearer to the ground than any goal may be: hold by telemetry.
+            return self._hold() or self._sent_target
+        if at_rest:
+            self._rest = setpoint, target
+            return target
+        east, north, up = setpoint.velocity
+        return replace(target, velocity_ned_m_s=(north, east, -up))
 
     def _can_send(self) -> bool:
         return (
@@ -450,6 +495,8 @@ class Aircraft:
         echoed = self.life.state in (GoalState.ACCEPTED, GoalState.EN_ROUTE, GoalState.REACHED)
         if not echoed or target is None or home is None or echo is None or not self.life.is_target(echo):
             return None
+        if self._sent_target is not target:
+            return None
         relative = self.datum is AltitudeDatum.RELATIVE
         return echo_problem(echo, home.amsl_m + target.height_m if relative else target.amsl_m, home)
 
@@ -476,11 +523,15 @@ class Aircraft:
                 command = self.autopilot.reposition(target, self.vehicle, self.datum)
                 self._reposition = self.commands.start(command, self.now)
             return
-        if self.now < self._send_at and not changed:
+        sent = self._sent_target
+        moves = target.velocity_ned_m_s is not None
+        moved_before = sent is not None and sent.velocity_ned_m_s is not None
+        if self.now < self._send_at and (not changed or (moves and moved_before)):
             return
-        if changed and self._sent_target is not None and target is self._goal_target:
+        if changed and sent is not None and target is self._goal_target and self.setpoint is None:
             self.life.resent(self.now)
-        interval_s = 1.0 / max(self.settings.setpoint_rate_hz, self.autopilot.min_stream_hz)
+        rate_hz = max(self.settings.setpoint_rate_hz, self.autopilot.min_stream_hz, MOVING_TARGET_HZ if moves else 0.0)
+        interval_s = 1.0 / rate_hz
         # Regular on average, however late this call comes; after a pause, regular from now on.
         self._send_at = max(self._send_at, self.now - interval_s) + interval_s
         self._sent_target = target

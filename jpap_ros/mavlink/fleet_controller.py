@@ -15,8 +15,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import FleetConfig, LinkConfig
+from jpap_ros.fleet.traffic import TrafficControl
+from jpap_ros.fleet.transit_plan import TransitLimits
 from jpap_ros.mavlink import procedures
 from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings, Procedure
+from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_links import open_links
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal
@@ -70,12 +73,15 @@ class ControllerSettings:
         Goals are in force for this long after the last sign of the planner; 0: for ever [s].
     launch_stagger_s : float
         Between the take-offs of one order [s].
+    traffic : TransitLimits or None
+        How aircraft keep apart on their way to their goals; None: each flies straight to its own.
     """
 
     sysid: int = 245
     aircraft: AircraftSettings = field(default_factory=AircraftSettings)
     plan_timeout_s: float = 0.0
     launch_stagger_s: float = 1.0
+    traffic: TransitLimits | None = None
 
 
 Route = tuple[Link, Peer]
@@ -145,6 +151,8 @@ class FleetController:
         self._tick_due_at = 0.0
         self._link_reports: tuple[LinkReport, ...] = ()
         self._tick_s = 1.0 / max(TICK_HZ, settings.aircraft.setpoint_rate_hz)
+        self._traffic_at = 0.0
+        self._clock_rate = 1.0
         try:
             links = open_links(self._hub, config)
         except (OSError, ValueError):
@@ -172,6 +180,9 @@ class FleetController:
             # Spread over the period, so that targets do not leave in a burst.
             member.tick_at = time.monotonic() + self._tick_s * i / len(config.uavs)
             self._members[uav.name] = member
+        # Targets that move need a stream of setpoints.
+        streams = settings.aircraft.transport is Transport.SETPOINT
+        self._traffic = TrafficControl(settings.traffic) if settings.traffic and streams else None
         self._by_sysid = {member.aircraft.config.sysid: member for member in self._members.values()}
 
     # --- for any thread
@@ -186,6 +197,8 @@ class FleetController:
             self._stopping.set()
             self._hub.wake()
             self._thread.join()
+        if self._traffic is not None:
+            self._traffic.close()
         self._hub.close()
 
     def __enter__(self) -> FleetController:
@@ -253,7 +266,11 @@ class FleetController:
 
     def _change(self, member: _Member, change: Callable[[], None], now: float) -> None:
         change()
-        self._tick(member, now)
+        if self._traffic is None:
+            self._tick(member, now)
+        else:
+            # Goals of one plan come together: one look at the traffic for all of them, in this same turn.
+            self._traffic_at = member.tick_at = now
 
     def _begin(
         self, member: _Member, order: FleetOrder, delay_s: float, future: Future[OrderResult], now: float
@@ -300,11 +317,27 @@ class FleetController:
             self._link_reports = tuple(LinkReport.of(link, now) for link in self._hub.links)
         if now < self._tick_due_at:
             return
+        if self._traffic is not None and now >= self._traffic_at:
+            self._traffic_at = now + self._tick_s
+            self._direct(self._traffic, now)
         for member in self._members.values():
             if now >= member.tick_at:
                 member.tick_at = max(member.tick_at + self._tick_s, now)
                 self._tick(member, now)
         self._tick_due_at = min(m.tick_at for m in self._members.values())
+
+    def _direct(self, traffic: TrafficControl, now: float) -> None:
+        """Let traffic control see where everybody is, and tell everybody what it says."""
+        fleet = {name: member.aircraft.traveller() for name, member in self._members.items()}
+        rates = [self._members[name].aircraft.vehicle.clock_rate for name, one in fleet.items() if one.obeys]
+        rate = min(rates, default=1.0)
+        limits = self._settings.traffic
+        if limits is not None and abs(rate - self._clock_rate) > 0.1 * self._clock_rate:
+            self._clock_rate = rate
+            traffic.limits = limits.faster(rate)
+        traffic.step(now, fleet)
+        for name, member in self._members.items():
+            member.aircraft.way_closed = traffic.held(name)
 
     def _beat(self) -> None:
         beat = mavlink.MAVLink_heartbeat_message(
@@ -367,6 +400,8 @@ class FleetController:
 
     def _tick(self, member: _Member, now: float) -> None:
         self._reroute(member, now)
+        if self._traffic is not None:
+            member.aircraft.setpoint = self._traffic.setpoint(member.aircraft.config.name, now)
         member.aircraft.tick(now)
         self._tell(member)
 

@@ -10,6 +10,8 @@ from jpap_ros.mavlink.vehicle import TargetEcho
 
 #: An echo this close in latitude and longitude is the target that was sent [1e-7 deg].
 ECHO_TOLERANCE_E7 = 2
+#: Where the target moves, the autopilot's own idea of it is this close to one that was sent [1e-7 deg], about 5 m.
+MOVING_ECHO_TOLERANCE_E7 = 500
 #: Targets on the wire for this long without a matching echo or progress: not obeyed [s].
 OBEY_TIMEOUT_S = 5.0
 #: Closer than at the start by this much: it flies there [m].
@@ -78,6 +80,7 @@ class GoalLife:
         self.distance_m = math.nan
         self._sent_at = math.inf
         self._target_e7: tuple[int, int] | None = None
+        self._moving = False
         self._distance_when_sent_m = math.nan
         self._other_echo: tuple[int, int] | None = None
 
@@ -104,11 +107,17 @@ class GoalLife:
         if self._target_e7 == target_e7:
             return
         self._target_e7 = target_e7
+        self._moving = False
         self._sent_at = now
         self._distance_when_sent_m = math.nan
         self._other_echo = None
         self.state = GoalState.SENT
         self.reason = ""
+
+    def moves(self, target_e7: tuple[int, int]) -> None:
+        """The target has moved on along the way to the same goal."""
+        self._moving = self._moving or target_e7 != self._target_e7
+        self._target_e7 = target_e7
 
     def resent(self, now: float) -> None:
         """A new height or heading at the same place: observe afresh."""
@@ -121,7 +130,7 @@ class GoalLife:
         if self._target_e7 is None:
             return False
         off = max(abs(echo.lat_e7 - self._target_e7[0]), abs(echo.lon_e7 - self._target_e7[1]))
-        return off <= ECHO_TOLERANCE_E7
+        return off <= (MOVING_ECHO_TOLERANCE_E7 if self._moving else ECHO_TOLERANCE_E7)
 
     def echoed(self, echo: TargetEcho) -> None:
         """The autopilot says where it is going."""

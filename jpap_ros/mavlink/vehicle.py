@@ -13,6 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 #: The autopilot's own component; gimbals and companions share its system id.
 AUTOPILOT_COMPONENT = 1
+#: The autopilot's clock is compared with ours over this long [s]; it runs fast beyond this rate.
+CLOCK_WINDOW_S = 2.0
+FAST_CLOCK = 1.5
 #: time_boot_ms may fall behind by this much without a reboot: packets overtake one another [ms].
 REORDER_MS = 5_000
 #: After this long without GLOBAL_POSITION_INT the position is not known any more [s].
@@ -144,6 +147,9 @@ class Vehicle:
         self.words: deque[Words] = deque(maxlen=_WORDS_KEPT)
         self._chunks: dict[int, dict[int, str]] = {}
         self._boot_ms: int | None = None
+        self._clock_since: tuple[int, float] | None = None
+        #: Seconds of the autopilot's clock in one of ours: 1, or more in a simulation that runs faster.
+        self.clock_rate = 1.0
 
     def hear(self, message: Any, now: float) -> bool:
         """Take one message from the autopilot's component.
@@ -216,7 +222,17 @@ class Vehicle:
         self.heartbeat_at = now
         self.link = LinkState.CONNECTED
 
+    def _watch_clock(self, boot_ms: int, now: float) -> None:
+        if self._clock_since is None:
+            self._clock_since = boot_ms, now
+        elif now - self._clock_since[1] >= CLOCK_WINDOW_S:
+            rate = (boot_ms - self._clock_since[0]) / 1e3 / (now - self._clock_since[1])
+            # Real clocks agree; what differs by less is delay on the link.
+            self.clock_rate = rate if rate > FAST_CLOCK else 1.0
+            self._clock_since = boot_ms, now
+
     def _global_position(self, message: Any, now: float) -> None:
+        self._watch_clock(message.time_boot_ms, now)
         if not _plausible(message.lat, message.lon, message.alt):
             return
         yaw = math.nan if message.hdg == _UNKNOWN_UINT16 else math.radians(message.hdg / 100)

@@ -18,6 +18,8 @@ from jpap_ros.mavlink.vehicle import Vehicle
 POSITION_ONLY = 0x0DF8
 #: The same with yaw.
 POSITION_AND_YAW = 0x09F8
+#: Use the three axes of velocity as well: a moving target.
+_VELOCITY_AXES = 0x0038
 
 
 class Transport(Enum):
@@ -55,6 +57,8 @@ class Target:
         home and map origin are at one altitude; which of them counts is the vehicle's altitude datum.
     yaw_ned : float or None
         Heading, clockwise from north [rad]; None leaves it to the autopilot.
+    velocity_ned_m_s : (north, east, down) or None
+        Velocity of a moving target [m/s]; None: it rests.
     """
 
     latitude: float
@@ -62,6 +66,7 @@ class Target:
     height_m: float
     amsl_m: float
     yaw_ned: float | None = None
+    velocity_ned_m_s: tuple[float, float, float] | None = None
 
     @property
     def lat_e7(self) -> int:
@@ -160,6 +165,9 @@ class Autopilot(ABC):
         """
         frame, altitude_m = self.frame_and_altitude(target, vehicle, datum)
         mask, yaw = (POSITION_ONLY, 0.0) if target.yaw_ned is None else (POSITION_AND_YAW, target.yaw_ned)
+        velocity = target.velocity_ned_m_s
+        if velocity is not None:
+            mask &= ~_VELOCITY_AXES
         return mavlink.MAVLink_set_position_target_global_int_message(
             time_boot_ms & 0xFFFFFFFF,
             vehicle.sysid,
@@ -169,7 +177,8 @@ class Autopilot(ABC):
             target.lat_e7,
             target.lon_e7,
             altitude_m,
-            *(0.0,) * 6,
+            *(velocity or (0.0, 0.0, 0.0)),
+            *(0.0, 0.0, 0.0),
             yaw,
             0.0,
         )
