@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import itertools
 import os
 import socket
 import tempfile
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 # Above 101 the DDS ports reach the range that Linux hands out to clients.
 DOMAINS = range(1, 102)
+PORTS = range(61_000, 65_536)
 
 
 @pytest.fixture(scope="session")
@@ -37,26 +39,39 @@ def ros_domain() -> Iterator[int]:
     pytest.fail(f"every ROS domain from {DOMAINS[0]} to {DOMAINS[-1]} is in use")
 
 
+@pytest.fixture(scope="session")
+def own_ports(ros_domain: int) -> Iterator[int]:
+    """Ports that belong to this session, round and round.
+
+    They lie above those that Linux hands out to clients, in a part for each domain: nobody else is given one between
+    a test's look at it and its use.
+    """
+    each = len(PORTS) // len(DOMAINS)
+    first = (ros_domain - DOMAINS[0]) * each
+    return itertools.cycle(PORTS[first : first + each])
+
+
 @pytest.fixture
-def free_ports() -> Callable[[int], list[int]]:
+def free_ports(own_ports: Iterator[int]) -> Callable[[int], list[int]]:
     """Return a function that finds n ports free for both UDP and TCP on loopback."""
 
+    def is_free(port: int) -> bool:
+        for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
+            with socket.socket(socket.AF_INET, kind) as sock:
+                try:
+                    sock.bind(("127.0.0.1", port))
+                except OSError:
+                    return False
+        return True
+
     def find(count: int) -> list[int]:
-        held, ports = [], []
-        while len(ports) < count:
-            tcp = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-            udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            held += [tcp, udp]
-            tcp.bind(("127.0.0.1", 0))
-            port = tcp.getsockname()[1]
-            try:
-                udp.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-            ports.append(port)
-        for sock in held:
-            sock.close()
-        return ports
+        found: list[int] = []
+        for port in itertools.islice(own_ports, len(PORTS)):
+            if len(found) == count:
+                return found
+            if port not in found and is_free(port):
+                found.append(port)
+        pytest.fail(f"found only {len(found)} of {count} free ports")
 
     return find
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from pathlib import Path
 
 import yaml
+
+_PORTS = range(61_000, 65_536)
+_DOMAINS = 102
+_PORTS_EACH = len(_PORTS) // _DOMAINS
 
 
 def write_fleet(path: Path, origin: tuple[float, float, float], count: int) -> None:
@@ -41,11 +46,18 @@ def write_fleet(path: Path, origin: tuple[float, float, float], count: int) -> N
 
 
 def _free_ports(count: int) -> list[int]:
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    try:
-        for sock in sockets:
-            sock.bind(("127.0.0.1", 0))
-        return [sock.getsockname()[1] for sock in sockets]
-    finally:
-        for sock in sockets:
-            sock.close()
+    """UDP ports that are free now, and that nobody is given by chance: above those Linux hands out to clients."""
+    # Another demo has another domain, and so begins elsewhere.
+    start = _PORTS_EACH * (int(os.environ.get("ROS_DOMAIN_ID", "0")) % _DOMAINS)
+    found: list[int] = []
+    for offset in range(len(_PORTS)):
+        port = _PORTS[(start + offset) % len(_PORTS)]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+            try:
+                sock.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+        found.append(port)
+        if len(found) == count:
+            return found
+    raise OSError(f"fewer than {count} UDP ports from {_PORTS[0]} to {_PORTS[-1]} are free")
