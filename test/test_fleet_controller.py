@@ -19,6 +19,7 @@ from fleet_rig import (
     ARM,
     AUTOPILOTS,
     GROUND,
+    ORIGIN,
     PATIENCE_S,
     TAKEOFF,
     Rig,
@@ -31,7 +32,7 @@ from fleet_rig import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from jpap_ros.fleet.config import LinkUrl
+from jpap_ros.fleet.config import FleetConfig, LinkUrl
 from jpap_ros.fleet.fence import Fence
 from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder, OrderResult
@@ -193,6 +194,18 @@ def test_the_bridges_heartbeat(rig: Rig) -> None:
         assert (beat.get_srcSystem(), beat.get_srcComponent()) == (245, 191)
         assert (beat.type, beat.autopilot) == (mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID)
     assert times[2] - times[0] > 1.5, "1 Hz"
+
+
+def test_a_vehicle_with_two_links_gets_everything_once(rig: Rig) -> None:
+    one = rig.fleet().uavs[0]
+    second = rig.fleet(kind="tcp").uavs[0].urls
+    fleet = FleetConfig(ORIGIN, (replace(one, urls=one.urls + second),))
+    sim, controller = rig.launched(fleet)
+    goal = Goal(30.0, 40.0, 50.0)
+    controller.set_goal("uav1", goal)
+    assert rig.watch.until_goal("uav1", GoalState.REACHED).problems == ()
+    assert distance(sim["uav1"], goal) < 1.5
+    assert [m.command for m in commands(sim["uav1"])] == [mavlink.MAV_CMD_DO_SET_MODE, ARM, TAKEOFF]
 
 
 def test_ground_stations_are_told_in_words_by_the_aircrafts_onboard_computer(rig: Rig) -> None:
