@@ -21,7 +21,7 @@ from jpap_ros.study.tables import report
 
 EXAMPLES = """examples:
   scripts/study                                 10 draws a point of every scheme: minutes
-  scripts/study --draws 200                     as in docs/reproduction.md; continues what is in out/study
+  scripts/study --draws 200                     more of it (docs/reproduction.md); continues what is in out/study
   scripts/study --schemes jpap spiral_qdpa --devices 20 100 --workers 1
   scripts/study --devices 40 --gain-db 0 1 2 3 4 5 6 --out out/gain
   scripts/study --max-devices 4 --out out/four  with a limit of four devices a UAV (6e)
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 progress=bar,
             )
     except ValueError as error:
-        console.print(f"study: {error}", style="red", highlight=False)
+        console.print(f"study: {error}", style="red", highlight=False, soft_wrap=True)
         return 2
     except KeyboardInterrupt:
         console.print(f"study: interrupted; finished trials are in {results}, the same command continues")
@@ -63,7 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(path)  # noqa: T201 (the files made are the output)
     wrong = [row for row in rows if row.violations]
     for row in wrong[:10]:
-        console.print(f"study: {row.violations} broken constraints in {row.trial}", style="red", highlight=False)
+        console.print(
+            f"study: {row.violations} broken constraints in {row.trial}", style="red", highlight=False, soft_wrap=True
+        )
     return 1 if wrong else 0
 
 
