@@ -87,6 +87,9 @@ def test_every_reason_not_to_fly_is_told_and_nothing_arms(rig: Rig) -> None:
     assert "no UAV named 'uav9'" in messages["uav9"] and "uav1, uav2" in messages["uav9"]
     assert [len(commands(sim[name], ARM)) for name in ("uav1", "uav2", "uav3", "uav5")] == [0, 1, 0, 0]
     assert not any(vehicle.armed for vehicle in sim)
+    # On the ground and not launched, it is nobody's: a change of mode is no takeover.
+    sim["uav2"].pilot_takes("LOITER")
+    assert rig.watch.until("uav2", lambda s: s.mode == "LOITER").goal_state is GoalState.NONE
     enforced = rig.watch.until("uav4", lambda s: any("does not obey" in p for p in s.problems))
     assert any("SYSID_ENFORCE" in problem for problem in enforced.problems)
 

@@ -129,8 +129,7 @@ class CommandChannel:
         self._own = own
         self._target = target
         self._open: dict[int, _Exchange] = {}
-        #: Answers heard, and commands given up without one since the last answer.
-        self.answers = 0
+        #: Commands given up without an answer since the last answer.
         self.unanswered_in_row = 0
 
     def busy(self, command_id: int) -> bool:
@@ -155,7 +154,6 @@ class CommandChannel:
         meant = ack.target_system in (0, self._own[0]) and ack.target_component in (0, self._own[1])
         if source != self._target or not meant:
             return
-        self.answers += 1
         self.unanswered_in_row = 0
         if exchange is None or exchange.waits_to_resend:
             return

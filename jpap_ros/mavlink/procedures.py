@@ -55,10 +55,10 @@ def launch(aircraft: Aircraft, delay_s: float = 0.0) -> Procedure:
         raise ProcedureFailed("it is taking off or landing; call again when it is in the air or on the ground")
     autopilot = _autopilot(aircraft)
     aircraft.authority.take({aircraft.mode}, aircraft.now)
-    if autopilot.mode_before_takeoff is not None:
-        yield from _set_mode(aircraft, autopilot.mode_before_takeoff)
-    yield from _arm(aircraft)
     try:
+        if autopilot.mode_before_takeoff is not None:
+            yield from _set_mode(aircraft, autopilot.mode_before_takeoff)
+        yield from _arm(aircraft)
         yield from _take_off(aircraft, height_m)
     except ProcedureFailed:
         if aircraft.vehicle.on_ground:
