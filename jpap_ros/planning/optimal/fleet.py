@@ -17,7 +17,7 @@ from jpap_ros.planning.optimal.enumeration import TooManySets, maximal_sets
 from jpap_ros.planning.optimal.milp import incidence, minimise
 from jpap_ros.planning.optimal.servability import Ints, Servability
 
-_MOST_SETS = 1_500_000
+_MOST_SETS = 800_000
 #: Sets that a mixed-integer program can still do something with.
 _MOST_COLUMNS = 60_000
 _LONGEST_SEARCH_S = 5.0
@@ -65,7 +65,7 @@ def smallest_fleet(servability: Servability, start: list[Ints], deadline: float,
     if fleet.proven:
         return
     try:
-        members, _ = maximal_sets(servability, _MOST_SETS, began + 0.25 * left)
+        members, _ = maximal_sets(servability, _MOST_SETS, began + 0.2 * left)
     except TooManySets:
         yield from _without_enumeration(servability, fleet, deadline, seed)
     else:

@@ -136,7 +136,7 @@ def _whole_knapsack_bound(
     """
     tight: Floats = bound.copy()
     order = np.argsort(-bound)
-    block = max(10, 25_000 // len(useful))
+    block = max(10, 6_000 // len(useful))
     highest = 0.0
     for start in range(0, len(order), block):
         rows = order[start : start + block]

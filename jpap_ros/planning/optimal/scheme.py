@@ -10,27 +10,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jpap_ros.planning.deployment import Deployment, make_deployment
-from jpap_ros.planning.jpap import jpap
+from jpap_ros.planning.jpap import jpap, jpap_epa, jpap_epa_common
+from jpap_ros.planning.kmeans import kmeans_epa, kmeans_qdpa
 from jpap_ros.planning.limits import explain, limit_fleet
 from jpap_ros.planning.link_budget import Floats
 from jpap_ros.planning.optimal.enumeration import TooManySets, all_sets, maximal_sets
 from jpap_ros.planning.optimal.fleet import Fleet, first_cells, smallest_fleet
 from jpap_ros.planning.optimal.partition import Partition, RateProgram
-from jpap_ros.planning.optimal.position import best_positions, share_power
-from jpap_ros.planning.optimal.rate_search import improve_rate
+from jpap_ros.planning.optimal.position import RATE_TOLERANCE, best_positions, share_power
+from jpap_ros.planning.optimal.rate_search import RateSearch
 from jpap_ros.planning.optimal.servability import Ints, Servability
 from jpap_ros.planning.optimal.service import serve_most
 from jpap_ros.planning.separation import keep_apart, never_apart, spread
 from jpap_ros.planning.solver import Problem
+from jpap_ros.planning.spiral import spiral_epa, spiral_qdpa
 
 #: Time that the scheme takes at most where the caller sets no limit [s].
 DEFAULT_TIME_S = 30.0
 #: Share of the time that the proof of the smallest fleet may take; the rate gets the rest.
-_FLEET_SHARE = 0.6
+_FLEET_SHARE = 0.8
 #: Kept back from the time limit for the last steps, which cannot be interrupted.
 _RESERVE = 0.05
 #: Most servable sets with which the rate is solved as one program.
 _MOST_RATE_SETS = 20_000
+#: Share of the time for the rate that its program may take, before local search takes over.
+_PROGRAM_SHARE = 0.75
+#: Schemes whose partitions are starts for the local search, and the most devices for which they are quick.
+_RIVALS = (jpap, jpap_epa, jpap_epa_common, spiral_qdpa, spiral_epa, kmeans_qdpa, kmeans_epa)
+_MOST_DEVICES_FOR_RIVALS = 150
 _MOST_MAXIMAL_SETS = 300_000
 #: Most pairs of sets that are kept apart in one program.
 _MOST_PAIRS = 50_000
@@ -56,7 +63,7 @@ def improve(problem: Problem) -> Iterator[Deployment]:
         yield limit_fleet(problem, _nothing(problem) if count == 0 else _jpap(problem))
         return
     began = time.monotonic()
-    deadline = min(problem.deadline, began + DEFAULT_TIME_S)
+    deadline = problem.deadline if math.isfinite(problem.deadline) else began + DEFAULT_TIME_S
     deadline -= _RESERVE * max(deadline - began, 0)
     solver = _Solver(problem, deadline)
     paper = _jpap(problem)
@@ -138,23 +145,37 @@ class _Solver:
         number = np.full(len(self.servability), -1)
         number[devices] = np.arange(len(devices))
         local = [number[cell] for cell in cells]
+        found = None
+        began = time.monotonic()
         try:
-            until = time.monotonic() + 0.3 * (self.deadline - time.monotonic())
-            members, sets = all_sets(part, _MOST_RATE_SETS, until)
+            members, sets = all_sets(part, _MOST_RATE_SETS, began + 0.3 * (self.deadline - began))
         except TooManySets:
-            found = self._search_rate(part, local)
+            pass
         else:
-            best = RateProgram(part, members, sets, self.power_eta).solve(len(local), local, self.deadline)
-            assert best is not None
-            found = best
+            program = RateProgram(part, members, sets, self.power_eta)
+            found = program.solve(len(local), local, began + _PROGRAM_SHARE * (self.deadline - began))
+            assert found is not None
+        if found is None or found.bound - found.total_rate > 2 * len(cells) * RATE_TOLERANCE:
+            found = self._search_rate(part, local if found is None else found.cells, found, devices)
         bound = min(found.bound, _simple_rate_bound(len(devices), len(cells), self.problem))
         return replace(found, cells=[devices[cell] for cell in found.cells], bound=bound)
 
-    def _search_rate(self, part: Servability, cells: list[Ints]) -> Partition:
-        hover = best_positions(part, cells, part.measure_all(cells), self.power_eta)
-        better = improve_rate(part, cells, hover, self.power_eta, self.deadline, self.problem.seed)
-        final = best_positions(part, better[0], part.measure_all(better[0]), self.power_eta)
-        return Partition(better[0], final.position, final.rate, math.inf, math.inf)
+    def _search_rate(self, part: Servability, cells: list[Ints], proven: Partition | None, devices: Ints) -> Partition:
+        """Local search from the best partition into so many cells that this or any other scheme has found."""
+        starts = [cells]
+        if len(devices) == len(self.servability) <= _MOST_DEVICES_FOR_RIVALS:
+            free = replace(self.problem, max_uavs=None, min_separation_m=0.0)
+            number = np.argsort(devices)
+            for rival in _RIVALS:
+                if time.monotonic() > self.deadline:
+                    break
+                other = rival(free)
+                if len(other.uav_positions) == len(cells):
+                    starts.append([number[other.cell(uav)] for uav in range(len(cells))])
+        searches = [RateSearch(part, start, self.power_eta) for start in starts]
+        best = max(searches, key=lambda search: float(search.rates.sum()))
+        found = best.run(self.deadline, self.problem.seed)
+        return found if proven is None else replace(found, bound=proven.bound, marginal=proven.marginal)
 
     def _apart(self, fleet: Fleet, partition: Partition) -> tuple[Fleet, Partition]:
         """Cells whose UAVs can hover apart, at the least cost in UAVs where all servable sets are known."""
