@@ -26,7 +26,7 @@ def write_fleet(path: Path, origin: tuple[float, float, float], count: int) -> N
         Number of aircraft.
     """
     latitude, longitude, altitude = origin
-    columns, spacing_m = 5, 10.0
+    columns, spacing_m = 5, 20.0
     uavs = [
         {
             "name": f"uav{i + 1}",

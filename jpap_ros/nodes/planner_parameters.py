@@ -30,7 +30,7 @@ def planner_parameters() -> tuple[Param, ...]:
         Param("altitude_m", _LINK.altitude_m, "Height of every goal above the map's ground [m]", 1.0, 5000.0),
         Param("bandwidth_hz", 1.0, "Bandwidth of a device's channel; divides demands in bit/s [Hz]", 1e-3, 1e12),
         Param("max_devices_per_uav", 0, "Most devices that one UAV serves; 0: no limit", 0, 100_000),
-        Param("min_separation_m", 0.0, "Least horizontal distance between two goals [m]", 0.0, 10_000.0),
+        Param("min_separation_m", 15.0, "Least horizontal distance between two goals [m]", 0.0, 10_000.0),
         Param("time_limit_s", 10.0, "Longest time for one plan; 0: no limit [s]", 0.0, 3600.0),
         Param(
             "debounce_s",
