@@ -53,17 +53,16 @@ def plot_over_gain(rows: Sequence[Row], path: Path) -> list[Path]:
     with figure_style():
         figure, axes = plt.subplots(figsize=(5.2, 3.6))
         _curves(axes, here, uav_number, "gain_db")
-        left = axes.get_xlim()[0]
         for name, count in PAPER_UAVS.items():
             axes.axhline(count, color=GREY, linewidth=0.9, linestyle=(0, (1, 1)), zorder=1)
             above = count == max(PAPER_UAVS.values())
             axes.text(
-                left,
+                1.01,
                 count,
-                f" paper: {name} {count}",
+                f"paper: {name} {count}",
+                transform=axes.get_yaxis_transform(),
                 fontsize=7.5,
                 color="#555555",
-                ha="left",
                 va="bottom" if above else "top",
             )
         axes.set_xlabel("Link budget above the stated one [dB]")
