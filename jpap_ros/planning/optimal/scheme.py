@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +29,8 @@ from jpap_ros.planning.spiral import spiral_epa, spiral_qdpa
 DEFAULT_TIME_S = 30.0
 #: Share of the time that the proof of the smallest fleet may take; the rate gets the rest.
 _FLEET_SHARE = 0.8
+#: A deployment is made from a better fleet when this many times the time that it takes has passed.
+_YIELD_EVERY = 20
 #: Kept back from the time limit for the last steps, which cannot be interrupted.
 _RESERVE = 0.05
 #: Most servable sets with which the rate is solved as one program.
@@ -83,52 +85,51 @@ def _nothing(problem: Problem) -> Deployment:
     )  # fmt: skip
 
 
-@dataclass
 class _Solver:
-    problem: Problem
-    deadline: float
+    """One run of the scheme on one problem."""
 
-    def __post_init__(self) -> None:
-        self.servability = Servability.of(self.problem)
-        self.power_eta = self.problem.link.power_eta
+    def __init__(self, problem: Problem, deadline: float) -> None:
+        self.problem, self.deadline = problem, deadline
+        self.servability = Servability.of(problem)
+        self.power_eta = problem.link.power_eta
 
     def run(self, paper: list[Ints], start: list[Ints]) -> Iterator[Deployment]:
+        """Yield deployments as they are found, from the cells of `jpap` and a start with no more cells."""
         began = time.monotonic()
         prove_until = began + _FLEET_SHARE * (self.deadline - began)
-        best: Deployment | None = None
         fleet = Fleet(start, 1)
+        next_yield = began
         for better in smallest_fleet(self.servability, start, prove_until, self.problem.seed):
             fleet = better
-            best = self._deploy(fleet, self._hover(fleet.cells))
-            yield best
-        fleet, limited = self._fit(fleet)
+            now = time.monotonic()
+            if now >= next_yield:
+                deployment = self._deploy(fleet, self._hover(fleet.cells))
+                next_yield = now + _YIELD_EVERY * (time.monotonic() - now)
+                yield deployment
+        if self.problem.max_uavs is not None and len(fleet.cells) > self.problem.max_uavs:
+            yield self._deploy_limited(fleet, self._largest_rate(self._serve_most(fleet, self.problem.max_uavs)))
+            return
         cells = fleet.cells
-        if not limited and len(paper) == len(cells):
+        if len(paper) == len(cells):
             cells = max(cells, paper, key=lambda some: self._hover(some).total_rate)
-        partition = self._largest_rate(cells, limited)
-        if self.problem.min_separation_m > 0 and not limited:
+        partition = self._largest_rate(cells)
+        if self.problem.min_separation_m > 0:
             fleet, partition = self._apart(fleet, partition)
-        if limited:
-            yield self._deploy_limited(fleet, partition)
-        else:
-            yield self._deploy(fleet, partition)
+        yield self._deploy(fleet, partition)
 
-    def _fit(self, fleet: Fleet) -> tuple[Fleet, bool]:
-        """The cells to fly, and whether they leave devices out because the fleet is too small."""
-        limit = self.problem.max_uavs
-        if limit is None or len(fleet.cells) <= limit:
-            return fleet, False
+    def _serve_most(self, fleet: Fleet, uavs: int) -> list[Ints]:
+        """Cells for a fleet that is too small: the most weight, then the most demanded rate."""
         until = time.monotonic() + 0.5 * (self.deadline - time.monotonic())
         try:
             members, _ = maximal_sets(self.servability, _MOST_MAXIMAL_SETS, until)
         except TooManySets:
             members = fleet.cells
-        chosen, _ = serve_most(members, self.problem.weights, self.problem.rates, limit, until)
+        chosen = serve_most(members, self.problem.weights, self.problem.rates, uavs, until)
         if chosen is None:
-            chosen, _ = serve_most(fleet.cells, self.problem.weights, self.problem.rates, limit, math.inf)
+            # Disjoint cells: the choice among them is quick.
+            chosen = serve_most(fleet.cells, self.problem.weights, self.problem.rates, uavs, math.inf)
             assert chosen is not None
-        self.uavs_needed = len(fleet.cells)
-        return Fleet(chosen, fleet.bound), True
+        return chosen
 
     def _hover(self, cells: list[Ints]) -> Partition:
         """The cells as they are, each from its best position."""
@@ -136,7 +137,7 @@ class _Solver:
         bound = float(hover.bound[0]) if len(cells) == 1 else math.inf
         return Partition(cells, hover.position, hover.rate, bound, math.inf)
 
-    def _largest_rate(self, cells: list[Ints], limited: bool) -> Partition:
+    def _largest_rate(self, cells: list[Ints]) -> Partition:
         """Re-partition the devices of these cells into as many cells of the largest rate."""
         if len(cells) == 1:
             return self._hover(cells)
@@ -214,10 +215,11 @@ class _Solver:
         return positions if gaps.min(initial=np.inf) >= self.problem.min_separation_m else None
 
     def _deploy_limited(self, fleet: Fleet, partition: Partition) -> Deployment:
-        whole = Fleet([np.empty(0, np.int64)] * self.uavs_needed, fleet.bound)
-        made = self._deploy(whole, partition)
-        left_out = np.flatnonzero(made.serving_uav < 0)
-        return replace(made, unserved=explain(self.problem, partition.cells, left_out, self.uavs_needed))
+        made = self._deploy(fleet, partition)
+        unexplained = [k for k in np.flatnonzero(made.serving_uav < 0).tolist() if k not in made.unserved]
+        cells = [made.cell(uav) for uav in range(len(made.uav_positions))]
+        reasons = explain(self.problem, cells, np.array(unexplained, dtype=np.int64), len(fleet.cells))
+        return replace(made, unserved=dict(sorted({**made.unserved, **reasons}.items())))
 
     def _deploy(self, fleet: Fleet, partition: Partition) -> Deployment:
         problem = self.problem

@@ -11,9 +11,7 @@ from jpap_ros.planning.optimal.milp import incidence, minimise
 from jpap_ros.planning.optimal.servability import Ints
 
 
-def serve_most(
-    members: list[Ints], weights: Floats, rates: Floats, uavs: int, deadline: float
-) -> tuple[list[Ints] | None, bool]:
+def serve_most(members: list[Ints], weights: Floats, rates: Floats, uavs: int, deadline: float) -> list[Ints] | None:
     """At most `uavs` disjoint cells, each part of one of the sets, that serve the most.
 
     Parameters
@@ -25,9 +23,8 @@ def serve_most(
 
     Returns
     -------
-    cells : list of int arrays, or None where none were found in time
-    proven : bool
-        Whether no choice from these sets serves more.
+    list of int arrays or None
+        The cells; None where none were found in time.
     """
     count, sets = len(weights), len(members)
     # Columns: the sets, then the devices. A device is served only if one of its sets is flown.
@@ -41,7 +38,7 @@ def serve_most(
     upper = np.append(np.full(count, np.inf), uavs)
     first = minimise(by_weight, limits, lower, upper, integer=True, deadline=deadline)
     if first.x is None:
-        return None, False
+        return None
     weighed = sparse.csc_array(sparse.vstack([limits, -by_weight[None]]))
     second = minimise(
         by_rate, weighed, np.append(lower, -first.objective - 1e-7), np.append(upper, np.inf),
@@ -49,5 +46,4 @@ def serve_most(
     )  # fmt: skip
     best = first if second.x is None else second
     assert best.x is not None
-    proven = first.objective - first.bound < 1e-6 and second.objective - second.bound < 1e-6
-    return without_overlap([members[i] for i in np.flatnonzero(best.x[:sets] > 0.5)], count), proven
+    return without_overlap([members[i] for i in np.flatnonzero(best.x[:sets] > 0.5)], count)
