@@ -30,6 +30,7 @@ from jpap_ros.fleet.plan_store import PlanStoreError, load_plan, save_plan
 from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.nodes import planner_conversions as conversions
+from jpap_ros.nodes.debounce import Debounce
 from jpap_ros.nodes.lifecycle import ManagedNode
 from jpap_ros.nodes.parameters import declare, values
 from jpap_ros.nodes.planner_diagnostics import PlannerHealth
@@ -115,12 +116,12 @@ class PlannerNode(ManagedNode):
         group = ReentrantCallbackGroup()
         replan = self.create_service(Trigger, "planner/replan", self._on_replan, callback_group=group)
         self._made.callback(self.destroy_service, replan)
-        # Steady time: neither a simulated clock that stands still nor a jump of the system's may delay a plan.
+        # Steady time: diagnostics and the fleet's life go on while a simulated clock stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._quiet = self.create_timer(1.0, self._on_quiet, clock=steady, autostart=False)
+        self._quiet = Debounce(self, self._on_quiet)
         every_second = self.create_timer(1.0, self._on_second, clock=steady)
         self._result = self.create_guard_condition(self._on_result)
-        self._made.callback(self.destroy_timer, self._quiet)
+        self._made.callback(self._quiet.close)
         self._made.callback(self.destroy_timer, every_second)
         if self._keeper is not None:
             self._made.callback(self.destroy_timer, self.create_timer(_LIFE_PERIOD_S, self._on_life, clock=steady))
@@ -144,9 +145,8 @@ class PlannerNode(ManagedNode):
         self._health.plan = stored.plan(self._all_aircraft())
         self._events.add(f"planner restarted, going on from plan {stored.plan_id}")
 
-    def _store(self, devices: Sequence[Device], settings: PlanSettings) -> None:
-        plan = self._health.plan
-        if not self._settings["state_file"] or plan is None:
+    def _store(self, plan: FleetPlan, devices: Sequence[Device], settings: PlanSettings) -> None:
+        if not self._settings["state_file"]:
             return
         path = Path(self._settings["state_file"])
         try:
@@ -219,12 +219,13 @@ class PlannerNode(ManagedNode):
         if not self.active:
             return
         roster, plan = self._keep_fleet(self._health.plan), self._health.plan
-        for event in roster.events:
-            self._events.add(event)
+        news = list(roster.events)
         changed = roster.usable != self._planned_for
         if plan is not None and changed and (plan.uavs_needed > len(plan.cells) or roster.usable < len(plan.cells)):
-            self._events.add(f"{roster.usable} aircraft are usable")
-        if self._events:
+            news.append(f"{roster.usable} aircraft are usable")
+        for event in news:
+            self._events.add(event)
+        if news:
             self._touch()
 
     def _keep_fleet(self, plan: FleetPlan | None) -> Roster:
@@ -272,21 +273,13 @@ class PlannerNode(ManagedNode):
 
     def _touch(self, at_once: bool = False) -> None:
         """Plan once events have stopped coming, or when the first of them has waited for long enough."""
-        now = time.monotonic()
         if self._first_event_s is None:
-            self._first_event_s = now
-        if not self.active:
-            return
-        left_s = self._first_event_s + self._settings["debounce_max_s"] - now
-        wait_s = 0.0 if at_once else min(self._settings["debounce_s"], left_s)
-        if wait_s <= 0:
-            self._on_quiet()
-            return
-        self._quiet.timer_period_ns = int(wait_s * 1e9)
-        self._quiet.reset()
+            self._first_event_s = time.monotonic()
+        if self.active:
+            quiet_s = 0.0 if at_once else self._settings["debounce_s"]
+            self._quiet.touch(self._first_event_s, quiet_s, self._settings["debounce_max_s"])
 
     def _on_quiet(self) -> None:
-        self._quiet.cancel()
         if not self.active or not self._events:
             return
         if self._in_work is not None:
@@ -344,9 +337,8 @@ class PlannerNode(ManagedNode):
 
     def _after_planning(self, job: EventJob, plan: FleetPlan, how: str) -> None:
         before, self._planned_with = self._health.plan, job.settings
-        self._publish(plan, str(job.events), job.settings.link.altitude_m, job.started_s)
+        self._publish(plan, str(job.events), job.devices, job.settings, job.started_s)
         self._health.latency_s = time.monotonic() - job.first_event_s
-        self._store(job.devices, job.settings)
         self._warn_unserved(job.devices, plan, before)
         if plan.from_scratch or job.weighs:
             self._weighed = job.request
@@ -405,8 +397,7 @@ class PlannerNode(ManagedNode):
         news = proven != (job.present.min_uavs_bound, job.present.proven_optimal)
         if result.adopted or news:
             reason = f"plan from scratch: {result.reason}" if result.adopted else "bound proven, the same plan"
-            self._publish(result.plan, reason, job.request.settings.link.altitude_m, job.started_s)
-            self._store(job.request.devices, job.request.settings)
+            self._publish(result.plan, reason, job.request.devices, job.request.settings, job.started_s)
             self._warn_unserved(job.request.devices, result.plan, job.present)
         else:
             self.get_logger().debug(f"plan from scratch not flown: {result.reason}")
@@ -423,7 +414,9 @@ class PlannerNode(ManagedNode):
 
     # Out
 
-    def _publish(self, plan: FleetPlan, reason: str, altitude_m: float, started_s: float) -> None:
+    def _publish(
+        self, plan: FleetPlan, reason: str, devices: Sequence[Device], settings: PlanSettings, started_s: float
+    ) -> None:
         health = self._health
         health.plan_id += 1
         reliefs = {}
@@ -432,7 +425,10 @@ class PlannerNode(ManagedNode):
             plan = with_crew(plan, roster.crew)
             reliefs = {name: roster.goals[name] for name in roster.reliefs.values()}
             reason = ", ".join([reason, *roster.events])
+        # What anybody was told must survive a kill.
+        self._store(plan, devices, settings)
         now = time.monotonic()
+        altitude_m = settings.link.altitude_m
         self._outputs.publish(
             plan, health.plan, self._header(), health.plan_id, reason, altitude_m, now - started_s, reliefs
         )
