@@ -134,7 +134,7 @@ def test_the_shipped_parameters_file_holds_the_defaults():
 def test_the_default_settings_are_those_of_the_planning_layer():
     settings = plan_settings({param.name: param.default for param in planner_parameters()})
     assert settings.link == LinkBudget()
-    assert settings.max_devices_per_uav is None and settings.min_separation_m == 0.0
+    assert settings.max_devices_per_uav is None and settings.min_separation_m == 15.0
 
 
 def test_parameters_that_make_another_plan_exist():
