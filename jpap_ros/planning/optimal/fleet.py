@@ -58,7 +58,7 @@ def smallest_fleet(servability: Servability, start: list[Ints], deadline: float,
     began = time.monotonic()
     left = deadline - began
     fleet = Fleet(start, simple_bound(servability))
-    quick = min(0.1 + len(servability) / 500, 0.1 * left)
+    quick = min(0.02 + len(servability) / 5000, 0.05 * left)
     for better in _search(servability, fleet, began + quick, seed):
         fleet = better
         yield fleet
@@ -132,14 +132,14 @@ def _with_enumeration(
     bound = float(value.sum()) / max(float(worth.max()), 1.0)
     fleet = Fleet(fleet.cells, max(fleet.bound, math.ceil(bound - _ROUNDING)))
     yield fleet
+    left = deadline - time.monotonic()
+    # With many sets the search is the better half; with few the program proves the fleet in no time.
+    search = 0.4 * left if len(members) > _MOST_COLUMNS // 2 else min(0.05 + count / 500, 0.1 * left)
+    for better in _search(servability, fleet, time.monotonic() + search, seed + 1):
+        fleet = better
+        yield fleet
     # A smaller fleet uses no set whose reduced cost exceeds what is left between the bound and its size.
     able = np.flatnonzero(1 - worth <= len(fleet.cells) - 1 - bound + _ROUNDING)
-    if not fleet.proven and len(able) > _MOST_COLUMNS // 4:
-        half = time.monotonic() + 0.4 * (deadline - time.monotonic())
-        for better in _search(servability, fleet, half, seed + 1):
-            fleet = better
-            yield fleet
-        able = np.flatnonzero(1 - worth <= len(fleet.cells) - 1 - bound + _ROUNDING)
     if fleet.proven or len(able) > _MOST_COLUMNS:
         yield from _search(servability, fleet, deadline, seed + 2)
         return

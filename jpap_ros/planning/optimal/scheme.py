@@ -28,7 +28,7 @@ from jpap_ros.planning.spiral import spiral_epa, spiral_qdpa
 #: Time that the scheme takes at most where the caller sets no limit [s].
 DEFAULT_TIME_S = 30.0
 #: Share of the time that the proof of the smallest fleet may take; the rate gets the rest.
-_FLEET_SHARE = 0.8
+_FLEET_SHARE = 0.85
 #: A deployment is made from a better fleet when this many times the time that it takes has passed.
 _YIELD_EVERY = 20
 #: Kept back from the time limit for the last steps, which cannot be interrupted.
