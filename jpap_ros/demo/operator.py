@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from jpap_msgs.msg import Deployment, GeoDevice, GeoDeviceUpdate, VehicleState
 from jpap_msgs.srv import FleetCommand
@@ -39,7 +40,7 @@ class Operator(Node):
         self.tracks: dict[str, list[tuple[float, float]]] = {}
         self.least_separation_m = math.inf
         self._frame = frame
-        self._flying: dict[str, tuple[float, float, float]] = {}
+        self._flying: set[str] = set()
         self._devices = self.create_publisher(GeoDeviceUpdate, "geo_devices", DEVICES)
         self._faults = self.create_publisher(String, "sim/fault", 10)
         self.create_subscription(Deployment, "deployment", self._on_deployment, LATCHED)
@@ -49,6 +50,7 @@ class Operator(Node):
             self.create_subscription(
                 PoseStamped, f"{name}/pose", lambda message, name=name: self._on_pose(name, message), SENSOR_DATA
             )
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._launch = self.create_client(FleetCommand, "bridge/launch")
 
     def report(self, sites: Iterable[Site], departed: Iterable[str] = ()) -> None:
@@ -92,11 +94,15 @@ class Operator(Node):
         plan = self.deployment
         if plan is None:
             return False
-        return device_ids == self._served() | {item.id for item in plan.unserved}
+        return device_ids == self.served() | {item.id for item in plan.unserved}
+
+    def plan_id(self) -> int:
+        """Number of the present deployment; 0 before the first."""
+        return 0 if self.deployment is None else self.deployment.plan_id
 
     def serves(self, device_ids: set[str]) -> bool:
         """Whether the present deployment serves exactly these devices and leaves none out."""
-        return self.deployment is not None and not self.deployment.unserved and device_ids == self._served()
+        return self.deployment is not None and not self.deployment.unserved and device_ids == self.served()
 
     def all_reached(self) -> bool:
         """Whether every cell's aircraft hovers at its goal of the present deployment."""
@@ -111,6 +117,10 @@ class Operator(Node):
             and state.goal_state == VehicleState.GOAL_REACHED
             and state.goal_plan_id == self.deployment.plan_id
         )
+
+    def has_cell(self, uav: str) -> bool:
+        """Whether the present deployment has a cell for an aircraft."""
+        return self.deployment is not None and any(cell.uav == uav for cell in self.deployment.cells)
 
     def flies(self, uav: str) -> bool:
         """Whether an aircraft is in the air."""
@@ -129,7 +139,8 @@ class Operator(Node):
         ]
         return "".join(f"; {trouble}" for trouble in left_out + late)
 
-    def _served(self) -> set[str]:
+    def served(self) -> set[str]:
+        """Ids of the devices that the present deployment serves."""
         return {device for cell in self.deployment.cells for device in cell.device_ids} if self.deployment else set()
 
     def _on_deployment(self, message: Deployment) -> None:
@@ -140,13 +151,17 @@ class Operator(Node):
 
     def _on_pose(self, name: str, message: PoseStamped) -> None:
         point = message.pose.position
-        here = (point.x, point.y, point.z)
+        here = (point.x, point.y)
         track = self.tracks.setdefault(name, [])
-        if not track or math.dist(here[:2], track[-1]) > _TRACK_STEP_M:
-            track.append(here[:2])
+        if not track or math.dist(here, track[-1]) > _TRACK_STEP_M:
+            track.append(here)
         if point.z < FLYING_ABOVE_M:
-            self._flying.pop(name, None)
+            self._flying.discard(name)
             return
-        self._flying[name] = here
-        others = (math.dist(here, there) for other, there in self._flying.items() if other != name)
-        self.least_separation_m = min(self.least_separation_m, min(others, default=math.inf))
+        self._flying.add(name)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        # The simulator's own word: positions by telemetry are of different moments.
+        for status in message.status:
+            if status.name == "sim: fleet":
+                self.least_separation_m = float(status.values[0].value)

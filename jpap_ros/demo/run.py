@@ -59,6 +59,8 @@ class Run:
         self._executor.add_node(self.operator)
         self._launched: set[str] = set()
         self._phase = ""
+        self._plan_before = 0
+        self._struck = ""
 
     def play(self) -> None:
         """Take every step in turn; Failure if one does not come about."""
@@ -105,10 +107,12 @@ class Run:
     def _fault(self, uav: str, fault: str, argument: str) -> None:
         if uav == "any":
             cells = self.operator.deployment.cells if self.operator.deployment else []
-            uav = next((cell.uav for cell in cells if cell.uav in self._launched), "")
+            uav = next((cell.uav for cell in cells if self.operator.flies(cell.uav)), "")
             if not uav:
                 raise Failure("a fault was to strike any aircraft with a cell, but none flies")
         self._say(f"fault: {uav} {fault} {argument}".rstrip())
+        self._plan_before = self.operator.plan_id()
+        self._struck = uav
         self.operator.strike(uav, fault, argument)
 
     def _launch(self, uavs: str | Iterable[str]) -> None:
@@ -133,6 +137,8 @@ class Run:
         what = options["for"]
         conditions: dict[str, tuple[Callable[[], bool], str]] = {
             "planned": (lambda: self.operator.knows(set(self.sites)), "a plan that knows every device"),
+            "replanned": (lambda: self.operator.plan_id() > self._plan_before, "a new plan after the fault"),
+            "relieved": (lambda: not self.operator.has_cell(self._struck), f"a relief of {self._struck}"),
             "served": (lambda: self.operator.serves(set(self.sites)), "a plan that serves every device"),
             "reached": (self.operator.all_reached, "every aircraft to reach its goal"),
             "served_and_reached": (
@@ -164,9 +170,9 @@ class Run:
         for name, (value, holds, words) in figures.items():
             if name in limits and not holds(float(value), limits[name]):
                 raise Failure(f"expected {words.format(limits[name])}, but it is {value:g}")
-        for uav in limits.get("not_flying", ()):
-            if self.operator.flies(uav):
-                raise Failure(f"expected {uav} not to fly, but it does")
+        left_out = set(limits.get("served", ())) - self.operator.served()
+        if left_out:
+            raise Failure(f"expected to be served, but left out: {', '.join(sorted(left_out))}")
 
     # What is shown and written
 

@@ -181,13 +181,11 @@ def _pause(where: str, data: object) -> dict[str, Any]:
 
 
 def _expect(where: str, data: object) -> dict[str, Any]:
-    known = ("served_at_least", "unserved_at_least", "uavs_at_most", "separation_at_least_m", "not_flying")
-    entry = _mapping(where, data, (), known)
-    checked: dict[str, Any] = {
-        key: _number(f"{where}.{key}", entry[key], 0.0, 1e4) for key in known[:4] if key in entry
-    }
-    if "not_flying" in entry:
-        checked["not_flying"] = _names(f"{where}.not_flying", entry["not_flying"])
+    figures = ("served_at_least", "unserved_at_least", "uavs_at_most", "separation_at_least_m")
+    entry = _mapping(where, data, (), (*figures, "served"))
+    checked: dict[str, Any] = {key: _number(f"{where}.{key}", entry[key], 0.0, 1e4) for key in figures if key in entry}
+    if "served" in entry:
+        checked["served"] = _names(f"{where}.served", entry["served"])
     return checked
 
 
@@ -205,7 +203,7 @@ STEPS: Mapping[str, Callable[[str, Any], dict[str, Any]]] = {
 }
 
 #: What a `wait` step can wait for.
-WAITS = ("served", "planned", "reached", "served_and_reached")
+WAITS = ("served", "planned", "replanned", "relieved", "reached", "served_and_reached")
 
 
 def _mapping(

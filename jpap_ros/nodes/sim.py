@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from pathlib import Path
@@ -89,7 +90,17 @@ class SimNode(Node):
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
         array.status = [self._status(vehicle) for vehicle in self._fleet or ()]
+        array.status.append(self._fleet_status())
         self._diagnostics.publish(array)
+
+    def _fleet_status(self) -> DiagnosticStatus:
+        least_m = math.inf if self._fleet is None else self._fleet.least_separation_m
+        return DiagnosticStatus(
+            level=DiagnosticStatus.OK,
+            name=f"{self.get_fully_qualified_name().lstrip('/')}: fleet",
+            message=f"aircraft were never nearer to each other than {least_m:.1f} m in the air",
+            values=[KeyValue(key="least_separation_m", value=f"{least_m:.3f}")],
+        )
 
     def _status(self, vehicle: SimVehicle) -> DiagnosticStatus:
         east, north, up = vehicle.position

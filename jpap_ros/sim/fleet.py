@@ -14,6 +14,9 @@ from functools import partial
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+from scipy.spatial.distance import pdist
+
 from jpap_ros.fleet.config import FleetConfig, LinkUrl, UavConfig
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.signing import SigningError, SigningKey
@@ -32,6 +35,8 @@ PERSONALITIES: dict[str, type[SimVehicle]] = {"ardupilot": ArduPilotVehicle, "px
 TICK_S = 0.04
 MAX_SPEEDUP = 100.0
 GRID_M = 10.0
+#: Lower than this a vehicle is on or near its pad, where it may stand beside others [m].
+AIRBORNE_M = 2.0
 #: A process that was stopped for longer does not make up for it [s].
 _LONGEST_TICK_S = 0.5
 
@@ -83,6 +88,8 @@ class SimFleet:
             if name not in config.names:
                 raise ValueError(f"options name {name!r}, which is not in the fleet: {', '.join(config.names)}")
         self.speedup = speedup
+        #: Least distance in space that two vehicles higher than `AIRBORNE_M` ever had [m].
+        self.least_separation_m = math.inf
         self.config = config
         self.lock = threading.RLock()
         self._selector = selectors.DefaultSelector()
@@ -235,9 +242,15 @@ class SimFleet:
             for _ in range(steps):
                 vehicle.advance(simulated / steps)
             vehicle.tick(now)
+        self._watch_separation()
         for station in self._stations.values():
             for vehicle, channel in station.members.values():
                 self._flush(station.port, vehicle, channel, now)
+
+    def _watch_separation(self) -> None:
+        flying = [v.position for v in self.vehicles.values() if v.position[2] > AIRBORNE_M and not v.crashed]
+        if len(flying) > 1:
+            self.least_separation_m = min(self.least_separation_m, float(pdist(np.array(flying)).min()))
 
 
 def _options(uav: UavConfig, by_name: Mapping[str, VehicleOptions]) -> VehicleOptions:

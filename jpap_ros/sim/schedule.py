@@ -109,12 +109,19 @@ class FaultSchedule:
     """
 
     def __init__(self, fleet: SimFleet, lines: Iterable[str]) -> None:
+        self._fleet = fleet
         self._left: list[tuple[ScheduledFault, SimVehicle, Strike]] = []
-        for fault in sorted((ScheduledFault.parse(line) for line in lines), key=lambda fault: fault.time_s):
-            vehicle = fleet.vehicles.get(fault.uav)
-            if vehicle is None:
-                raise ValueError(f"a fault names {fault.uav!r}, which is not in the fleet")
-            self._left.append((fault, vehicle, FAULTS[fault.fault](vehicle, fault.argument)))
+        for line in lines:
+            self.add(line)
+
+    def add(self, line: str) -> None:
+        """Add one fault; ValueError as for the lines at the start."""
+        fault = ScheduledFault.parse(line)
+        vehicle = self._fleet.vehicles.get(fault.uav)
+        if vehicle is None:
+            raise ValueError(f"a fault names {fault.uav!r}, which is not in the fleet")
+        self._left.append((fault, vehicle, FAULTS[fault.fault](vehicle, fault.argument)))
+        self._left.sort(key=lambda entry: entry[0].time_s)
 
     def strike(self, elapsed_s: float) -> list[ScheduledFault]:
         """Let everything happen whose time has come; return it."""
