@@ -21,7 +21,9 @@ def generate_launch_description() -> LaunchDescription:
                 description="Path of the fleet file, the same for planner, bridge and sim",
             ),
             DeclareLaunchArgument(
-                "scheme", default_value="jpap", description="Algorithm that makes the deployment, e.g. jpap or optimal"
+                "scheme",
+                default_value="optimal",
+                description="Algorithm that makes the deployment, e.g. optimal or jpap",
             ),
             DeclareLaunchArgument("sim", default_value="true", description="Start simulated aircraft: true or false"),
             DeclareLaunchArgument("namespace", default_value="", description="ROS namespace of all nodes"),

@@ -122,7 +122,11 @@ def test_two_waves_of_devices_become_a_hovering_fleet(
 ) -> None:
     uavs = [uav["name"] for uav in yaml.safe_load(fleet_file.read_text())["uavs"]]
     parameters = {"fleet_file": str(fleet_file)}
-    nodes = [start_node(name, parameters) for name in ("planner", "bridge")]
+    # One plan for each wave: with its own scheme from scratch behind, the planner may publish another at any moment.
+    nodes = [
+        start_node("planner", {**parameters, "scheme": "jpap", "reoptimise": False}),
+        start_node("bridge", parameters),
+    ]
     nodes.append(start_node("sim", {**parameters, "speedup": 5.0}))
     fleet = Fleet(graph, uavs)
     devices = graph.publisher(DeviceUpdate, "devices", DEVICES)

@@ -105,8 +105,9 @@ class Operator(Node):
         return self.deployment is not None and not self.deployment.unserved and device_ids == self.served()
 
     def all_reached(self) -> bool:
-        """Whether every cell's aircraft hovers at its goal of the present deployment."""
-        return self.deployment is not None and all(self.reached(cell.uav) for cell in self.deployment.cells)
+        """Whether there are cells, and the aircraft of each hovers at its goal of the present deployment."""
+        cells = [] if self.deployment is None else self.deployment.cells
+        return bool(cells) and all(self.reached(cell.uav) for cell in cells)
 
     def reached(self, uav: str) -> bool:
         """Whether an aircraft hovers at its goal of the present deployment."""

@@ -23,7 +23,7 @@ def planner_parameters() -> tuple[Param, ...]:
         Param("autostart", True, "Configure and activate at start, without a lifecycle manager", fixed=True),
         Param("state_file", "", "File that keeps the plan, to go on after a restart; empty: none", fixed=True),
         Param("map_frame", "map", "Frame of positions: ENU, origin as in the fleet file", check=_frame, fixed=True),
-        Param("scheme", "jpap", "Algorithm that makes the deployment", choices=tuple(SCHEMES)),
+        Param("scheme", "optimal", "Algorithm that makes the deployment", choices=tuple(SCHEMES)),
         Param("transmit_power_dbm", _LINK.transmit_power_dbm, "Total transmit power of one UAV [dBm]", -50.0, 100.0),
         Param("noise_power_dbm", _LINK.noise_power_dbm, "Noise power at a device [dBm]", -200.0, 0.0),
         Param("reference_gain_db", _LINK.reference_gain_db, "Channel gain at 1 m [dB]", -150.0, 0.0),

@@ -1,0 +1,108 @@
+"""Every shipped scenario, played to its end as a user would play it, and what becomes of one that is wrong or stopped.
+
+Oracle: the scenario's own expectations, held against what the nodes publish and the simulator's ground truth; exit
+statuses; the process table.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_package_share_directory
+
+from jpap_ros.demo.scenario import ScenarioError, load_scenario
+
+SCENARIOS = sorted((Path(__file__).parent.parent / "config" / "scenarios").glob("*.yaml"))
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+
+
+def demo(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "jpap_ros.demo", *arguments]
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_scenario_comes_to_its_end(path: Path, ros_domain: int, tmp_path: Path) -> None:
+    run = subprocess.run(
+        demo("--scenario", path.stem, "--out", str(tmp_path)), capture_output=True, text=True, check=False, timeout=175
+    )
+    logs = "".join(f"--- {log.name}\n{log.read_text()}" for log in tmp_path.glob("*.log"))
+    assert run.returncode == 0, run.stdout + run.stderr + logs
+    assert (tmp_path / "demo.png").read_bytes().startswith(PNG_MAGIC)
+    assert "devices, with demands of" in run.stdout
+
+
+def children_of(pid: int) -> set[int]:
+    """Oracle: the kernel's process table."""
+    return {
+        int(stat.parent.name)
+        for stat in Path("/proc").glob("[0-9]*/stat")
+        if int(stat.read_text().rpartition(")")[2].split()[1]) == pid
+    }
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda how: how.name)
+def test_a_demo_that_is_stopped_leaves_nothing_running(how: signal.Signals, ros_domain: int, tmp_path: Path) -> None:
+    run = subprocess.Popen(demo("--out", str(tmp_path)), stdout=subprocess.DEVNULL, start_new_session=True)
+    try:
+        wait_until(lambda: len(children_of(run.pid)) == 3, "planner, bridge and sim to start")
+        nodes = children_of(run.pid)
+        run.send_signal(how)
+        assert run.wait(30) == (-how if how is signal.SIGKILL else 130)
+        wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in nodes), "its nodes to end")
+    finally:
+        if run.poll() is None:
+            os.killpg(run.pid, signal.SIGKILL)
+            run.wait()
+
+
+def wait_until(condition, what: str, timeout_s: float = 60.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        time.sleep(0.05)
+
+
+GOOD = "version: 1\ntitle: t\nuavs: 2\nsteps:\n  - pause: 1\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("- a list", "the file must be a mapping"),
+        (GOOD.replace("version: 1", "version: 2"), "version must be 1, got 2"),
+        (GOOD.replace("uavs: 2", "uavs: 0"), "uavs must be a whole number from 1 to 200, got 0"),
+        (GOOD + "speed: 3\n", "the unknown key 'speed'"),
+        (GOOD.replace("pause: 1", "dance: 1"), r"steps\[0\] has the unknown key 'dance'"),
+        (GOOD.replace("pause: 1", "pause: .nan"), r"steps\[0\].pause must be a number"),
+        (GOOD.replace("pause: 1", "join: {count: 3, demand: [5]}"), r"demand must be a list of two numbers"),
+        (GOOD.replace("pause: 1", "join: {}"), "either count .* or devices"),
+        (GOOD.replace("pause: 1", "wait: {for: ever}"), "must be one of served, planned"),
+        (GOOD.replace("pause: 1", "join: {devices: [{id: a, at_m: [0, .inf], demand: 5}]}"), r"at_m\[1\]"),
+        ("a: [", "cannot be read"),
+    ],
+)
+def test_a_wrong_scenario_is_refused_in_words(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "scenario.yaml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError, match=says):
+        load_scenario(path)
+
+
+def test_a_wrong_scenario_ends_the_demo_with_one_line(tmp_path: Path) -> None:
+    run = subprocess.run(
+        demo("--scenario", str(tmp_path / "none.yaml")), capture_output=True, text=True, check=False, timeout=60
+    )
+    assert run.returncode == 2
+    assert run.stdout.count("\n") == 1
+    assert "cannot be read" in run.stdout
+
+
+def test_shipped_scenarios_are_installed() -> None:
+    share = Path(get_package_share_directory("jpap_ros")) / "config" / "scenarios"
+    assert {path.name for path in share.glob("*.yaml")} == {path.name for path in SCENARIOS}
