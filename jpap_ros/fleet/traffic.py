@@ -25,7 +25,7 @@ Vector = tuple[float, float, float]
 SAME_PLACE_M = 1e-3
 #: After so long, a way is looked for again for those that were held [s].
 RETRY_S = 1.0
-#: A step waits so long for the worker: a small fleet's transition then begins at once [s].
+#: Usual patience of a step [s].
 SHORT_WAIT_S = 0.02
 
 
@@ -108,6 +108,9 @@ class TrafficControl:
         May be replaced at any time; transitions under way go on as they were planned.
     obstacle_radius_m : float
         How far an aircraft that does not obey may get from where it is while others react [m].
+    patience_s : float or None
+        How long a step waits for the worker, so that a small fleet's transition begins at once; None: until it is
+        done, as a simulation faster than time needs it [s].
 
     Notes
     -----
@@ -119,9 +122,12 @@ class TrafficControl:
     that is left, all of its convoy slow down at once on the path that was checked, and rest.
     """
 
-    def __init__(self, limits: TransitLimits, obstacle_radius_m: float = 5.0, following_error_m: float = 10.0) -> None:
+    def __init__(
+        self, limits: TransitLimits, obstacle_radius_m: float = 5.0, patience_s: float | None = SHORT_WAIT_S
+    ) -> None:
         self.limits = limits
         self._obstacle_radius_m = obstacle_radius_m
+        self._patience_s = patience_s
         self._resting: dict[str, Vector] = {}
         self._flights: list[_Flight] = []
         self._aboard: dict[str, _Flight] = {}
@@ -163,6 +169,25 @@ class TrafficControl:
     def held(self, name: str) -> str:
         """Why an aircraft is not on its way to its goal; empty if it is, or is there."""
         return self._held.get(name, "")
+
+    def nearby(self, name: str, line: Floats, now: float) -> str:
+        """Who comes too near to a line, (2, 3), that another aircraft wants to climb or descend; empty if nobody.
+
+        As of the last step; those on the way count with all of the path that they have left.
+        """
+        wanted = self.limits.planned_separation_m - SAME_PLACE_M
+        for other, place in self._resting.items():
+            if other != name and polyline_distance(line, np.array([place])) < wanted:
+                return other
+        for flight in self._flights:
+            paths = np.swapaxes(flight.rest(now).waypoints, 0, 1)
+            for other, path in zip(flight.convoy.names, paths, strict=True):
+                if other != name and polyline_distance(line, path) < wanted:
+                    return other
+        for obstacle in self._obstacles():
+            if obstacle.name != name and polyline_distance(line, obstacle.column) < wanted + obstacle.radius_m:
+                return obstacle.name
+        return ""
 
     # One step, part by part
 
@@ -257,7 +282,7 @@ class TrafficControl:
         committed = [flight.rest(now) for flight in self._flights]
         future = self._worker.submit(plan_transit, request.resting, goals, self.limits, obstacles, committed)
         self._asked = request, future
-        wait([future], SHORT_WAIT_S)
+        wait([future], self._patience_s)
 
     def _under_way(self) -> tuple[int, ...]:
         """What names the flights that a plan has to keep clear of; a brake only shortens their paths."""
@@ -271,7 +296,7 @@ class TrafficControl:
         goals = {name: self._goal(name, place) for name, place in self._resting.items()}
         unchanged = (
             request.resting == self._resting
-            and all(request.goals.get(name, self._resting[name]) == goal for name, goal in goals.items())
+            and all(_same(request.goals.get(name, self._resting[name]), goal) for name, goal in goals.items())
             and request.obstacles == self._obstacles()
             and set(self._under_way()) <= set(request.flights)
         )

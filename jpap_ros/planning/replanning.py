@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jpap_ros.planning.deployment import RELATIVE_TOLERANCE
 from jpap_ros.planning.link_budget import snr_demand
 from jpap_ros.planning.replanning_continuity import Continuity
 from jpap_ros.planning.replanning_position import Point, nearest_position
@@ -139,6 +140,8 @@ class _Draft:
         self.continuity = Continuity(present, demands, limits.link)
         self.members: dict[int, list[int]] = {}
         self.position: dict[int, Point] = {cell.id: cell.position for cell in alive}
+        #: Farthest that a UAV can be from each device even if it has all the power [m], equation (5).
+        self.reach_m = limits.link.coverage_radius(limits.link.transmit_power_w, demands.rates).tolist()
 
     def keep(self, cell: LiveCell, as_before: list[int], changed: list[int]) -> None:
         """Take over a cell with as many of its devices as it can still serve."""
@@ -235,7 +238,7 @@ class _Draft:
         """Nearest position from which a cell could serve some more devices; None where there is none."""
         rows = self.members[cell] + devices
         most = self.limits.max_devices_per_uav
-        if not rows or (most is not None and len(rows) > most):
+        if not rows or (most is not None and len(rows) > most) or self._too_far_apart(self.members[cell], devices):
             return None
         discs = self.limits.rule.discs(
             [self.demands.places[k] for k in rows], [self.demands.snr_demand[k] for k in rows]
@@ -244,6 +247,15 @@ class _Draft:
             return None
         others = [position for other, position in self.position.items() if other != cell]
         return nearest_position(self.position[cell], discs, others, self.limits.min_separation_m)
+
+    def _too_far_apart(self, members: list[int], devices: list[int]) -> bool:
+        """Whether two devices have no place in common: quickly settles most cells for most devices."""
+        places, reach_m = self.demands.places, self.reach_m
+        return any(
+            math.dist(places[k], places[other]) > (reach_m[k] + reach_m[other]) * (1 + RELATIVE_TOLERANCE)
+            for k in devices
+            for other in members
+        )
 
     def _cell(self, cell: int, rows: list[int], position: Point) -> LiveCell:
         distance2 = ((self.demands.positions[rows] - position) ** 2).sum(axis=1)

@@ -1,0 +1,411 @@
+"""An hour in the life of a large fleet, simulated: devices come and go, batteries run low, aircraft fail.
+
+Planner, fleet life and traffic control are the product's; only ROS, MAVLink and the autopilots are left out: aircraft
+are where traffic control wants them. The same history of devices and failures is lived through twice: with the smallest
+change at every event and a weighed plan from scratch behind it, and with a plan from scratch at every event.
+
+What is measured does not come from the planner: rates from equation (3) with the aircraft's true places, distances
+between all aircraft in the air at every moment, straight lines between the steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+
+from jpap_ros.fleet.availability import FleetLife, FleetPolicy, Link, Order, Roster, Station, Vehicle
+from jpap_ros.fleet.cells import Aircraft, FleetPlan
+from jpap_ros.fleet.plan import PlanSettings, full_deployment, plan_change, plan_from_scratch, weigh, with_crew
+from jpap_ros.fleet.traffic import TrafficControl, Traveller
+from jpap_ros.fleet.transit_plan import TransitLimits
+from jpap_ros.planning.devices import Device
+from jpap_ros.planning.replanning_decision import ReplanningPolicy
+
+LIMITS = TransitLimits(min_separation_m=10.0, tracking_error_m=1.0, speed_m_s=8.0)
+SETTINGS = PlanSettings(min_separation_m=15.0)
+STEP_S = 0.5
+LIFE_EVERY = 2
+SIDE_M = 1200.0
+PADS_M = 25.0
+#: Height above home at which aircraft end their climb and begin their descent [m].
+HOME_HEIGHT_M = 30.0
+FLIGHT_TIME_S = 1500.0
+BATTERY_SWAP_S = 180.0
+#: The bridge takes a link for lost after this long without a heartbeat [s].
+SILENT_AFTER_S = 4.0
+#: Below this an aircraft is not counted as in the air [m].
+AIRBORNE_M = 2.0
+
+# The paper's parameters in SI units, apart from the product's: P_T 40 dBm, sigma^2 -90 dBm, rho_0 -30 dB.
+GAIN_OVER_NOISE = 1e-3 / 1e-12
+
+
+class Phase(Enum):
+    """Where an aircraft is in its flight."""
+
+    GROUND = 0
+    CLIMB = 1
+    FLY = 2
+    DESCEND = 3
+    GONE = 4
+
+
+@dataclass
+class Craft:
+    """One simulated aircraft."""
+
+    name: str
+    home: tuple[float, float]
+    place: tuple[float, float, float]
+    battery: float
+    phase: Phase = Phase.GROUND
+    homing: bool = False
+    launching: bool = False
+    landed_at: float = -math.inf
+    silent_until: float = -math.inf
+    heard_at: float = 0.0
+    pilot_until: float = -math.inf
+    flown_m: float = 0.0
+    #: Powers by device that it transmits with, and those it changes to as soon as that serves as many [W].
+    powers: dict[str, float] = field(default_factory=dict)
+    wanted: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def in_air(self) -> bool:
+        return self.phase in (Phase.CLIMB, Phase.FLY, Phase.DESCEND)
+
+    def connected(self, now: float) -> bool:
+        return self.phase is not Phase.GONE and now - self.heard_at <= SILENT_AFTER_S
+
+    def hears(self, now: float) -> bool:
+        """Whether what is published now reaches it."""
+        return self.phase is not Phase.GONE and now >= self.silent_until
+
+    def obeys(self, now: float) -> bool:
+        """Whether the bridge believes that it follows its setpoints."""
+        return self.phase is Phase.FLY and self.connected(now) and now >= self.pilot_until
+
+    def follows(self, now: float) -> bool:
+        """Whether it really does."""
+        return self.phase is Phase.FLY and now >= self.silent_until and now >= self.pilot_until
+
+
+@dataclass(frozen=True)
+class Happening:
+    """Something that befalls the devices or the fleet; `draw` is a random number in [0, 1) that says to whom."""
+
+    at: float
+    kind: str
+    draw: float
+    place: tuple[float, float]
+    rate: float
+
+
+def history(seconds: float, seed: int) -> list[Happening]:
+    """Events of an hour, in order: devices every 5 s on average, failures of aircraft every 100 s."""
+    rng = np.random.default_rng(seed)
+
+    def drawn(mean_s: float, kinds: list[str], shares: list[float]) -> Iterator[Happening]:
+        now = 0.0
+        while (now := now + rng.exponential(mean_s)) < seconds:
+            place = tuple(rng.uniform(0, SIDE_M, 2).tolist())
+            yield Happening(now, str(rng.choice(kinds, p=shares)), rng.random(), place, rng.uniform(12, 17))
+
+    devices = drawn(5.0, ["join", "leave", "move", "demand"], [0.25] * 4)
+    failures = drawn(100.0, ["silence", "pilot", "crash"], [0.75, 0.17, 0.08])
+    return sorted([*devices, *failures], key=lambda happening: happening.at)
+
+
+class World:
+    """A fleet, its devices, and the product that keeps them together."""
+
+    def __init__(self, devices: int, uavs: int, seed: int, scratch: bool) -> None:
+        rng = np.random.default_rng(seed)
+        self.scratch = scratch
+        self.now = 0.0
+        self.devices = {
+            f"d{k}": Device(f"d{k}", tuple(rng.uniform(0, SIDE_M, 2).tolist()), rng.uniform(12, 17))
+            for k in range(devices)
+        }
+        self.most = devices
+        side = math.ceil(math.sqrt(uavs))
+        pads = [(PADS_M * (i % side), -100.0 - PADS_M * (i // side)) for i in range(uavs)]
+        self.fleet = {
+            f"uav{i + 1}": Craft(f"uav{i + 1}", pad, (*pad, 0.0), rng.uniform(0.6, 1.0)) for i, pad in enumerate(pads)
+        }
+        self.traffic = TrafficControl(LIMITS, patience_s=None)
+        self.life = FleetLife(FleetPolicy(arrival_radius_m=2.0, station_above_m=LIMITS.planned_separation_m))
+        self.plan: FleetPlan | None = None
+        self.roster: Roster | None = None
+        self.planned_for = 0
+        self.latency_s: list[float] = []
+        self.separation_m = math.inf
+        self.closest = ""
+        self.served_s: dict[str, float] = {}
+        self.present_s: dict[str, float] = {}
+        self.interrupted = 0
+        self.uavs_s: list[int] = []
+
+    # --- what happens
+
+    def befall(self, event: Happening) -> bool:
+        """Let it happen; True if it is an event for the planner."""
+        if event.kind in ("silence", "pilot", "crash"):
+            flying = [craft for craft in self.fleet.values() if craft.follows(self.now)]
+            if flying:
+                self._fail(flying[int(event.draw * len(flying))], event)
+            return False
+        names = list(self.devices)
+        name = names[int(event.draw * len(names))]
+        kind = event.kind
+        if len(names) < 0.9 * self.most:
+            kind = "join"
+        elif len(names) > 1.1 * self.most:
+            kind = "leave"
+        if kind == "join":
+            joined = f"j{event.at:.3f}"
+            self.devices[joined] = Device(joined, event.place, event.rate)
+        elif kind == "leave":
+            del self.devices[name]
+        elif kind == "move":
+            east, north = self.devices[name].position
+            step = (event.place[0] / SIDE_M - 0.5) * 100, (event.place[1] / SIDE_M - 0.5) * 100
+            self.devices[name] = replace(self.devices[name], position=(east + step[0], north + step[1]))
+        else:
+            self.devices[name] = replace(self.devices[name], rate_demand=event.rate)
+        return True
+
+    def _fail(self, craft: Craft, event: Happening) -> None:
+        if event.kind == "silence":
+            craft.silent_until = self.now + 5.0 + 55.0 * event.draw
+        elif event.kind == "pilot":
+            craft.pilot_until = self.now + 60.0
+        else:
+            craft.phase, craft.powers, craft.wanted = Phase.GONE, {}, {}
+
+    # --- the planner
+
+    def _aircraft(self) -> list[Aircraft]:
+        assert self.roster is not None
+        usable = {*self.roster.crew.values(), *self.roster.free}
+        return [
+            Aircraft(c.name, c.place[:2], True, c.in_air, "" if c.name in usable else "cannot be given a cell now")
+            for c in self.fleet.values()
+        ]
+
+    def replan(self) -> None:
+        """Answer events as the planner node does."""
+        devices, aircraft = list(self.devices.values()), self._aircraft()
+        present = None if self.plan is None else with_crew(self.plan, self.roster.crew if self.roster else {})
+        self.planned_for = sum(craft.available for craft in aircraft)
+        started = time.perf_counter()
+        if present is None or self.scratch:
+            plan = plan_from_scratch(devices, SETTINGS, aircraft, present)
+        else:
+            plan = plan_change(devices, SETTINGS, aircraft, present)
+        self.latency_s.append(time.perf_counter() - started)
+        self._put_in_force(plan)
+        if self.scratch or present is None:
+            return
+        full = full_deployment(devices, SETTINGS, self.planned_for)
+        assert self.plan is not None
+        weighed = weigh(full, devices, SETTINGS, aircraft, self.plan, ReplanningPolicy())
+        if weighed.adopted:
+            self._put_in_force(weighed.plan)
+
+    def _put_in_force(self, plan: FleetPlan) -> None:
+        self.interrupted += len(plan.interrupted)
+        self.plan = plan
+        self.keep_fleet()
+
+    def keep_fleet(self) -> bool:
+        """Step the fleet's life; True if a plan is needed for what became of it."""
+        cells = self.plan.cells if self.plan is not None else ()
+        stations = {c.id: Station((*c.position, SETTINGS.link.altitude_m), len(c.device_ids)) for c in cells}
+        self.roster = self.life.step(self.now, [self._vehicle(craft) for craft in self.fleet.values()], stations)
+        for action in self.roster.actions:
+            craft = self.fleet[action.uav]
+            craft.launching = action.order is Order.LAUNCH and craft.phase is Phase.GROUND
+            craft.homing = action.order is Order.RETURN
+        if self.plan is None:
+            return False
+        self.plan = with_crew(self.plan, self.roster.crew)
+        crew = {name: cell for cell, name in self.roster.crew.items()}
+        powers = {cell.id: dict(zip(cell.device_ids, cell.power_w, strict=True)) for cell in cells}
+        for craft in self.fleet.values():
+            if craft.hears(self.now):
+                craft.wanted = powers[crew[craft.name]] if craft.name in crew else {}
+        needed, usable = self.plan.uavs_needed, self.roster.usable
+        return usable != self.planned_for and (needed > len(cells) or usable < len(cells))
+
+    def _vehicle(self, craft: Craft) -> Vehicle:
+        return Vehicle(
+            craft.name,
+            link=Link.CONNECTED if craft.connected(self.now) else Link.LOST,
+            in_air=craft.in_air,
+            position=craft.place,
+            battery=craft.battery,
+            yielded=self.now < craft.pilot_until,
+            busy=craft.phase in (Phase.CLIMB, Phase.DESCEND) or craft.homing,
+        )
+
+    # --- time
+
+    def step(self) -> None:
+        """Let everybody fly for one step."""
+        goals = self.roster.goals if self.roster else {}
+        travellers = {}
+        for craft in self.fleet.values():
+            if craft.phase is Phase.GONE:
+                continue
+            if self.now >= craft.silent_until:
+                craft.heard_at = self.now
+            goal = (*craft.home, HOME_HEIGHT_M) if craft.homing else goals.get(craft.name)
+            obeys = craft.obeys(self.now)
+            travellers[craft.name] = Traveller(craft.place, obeys, craft.in_air, goal, craft.heard_at)
+        self.traffic.step(self.now, travellers)
+        before = {craft.name: craft.place for craft in self.fleet.values() if craft.in_air}
+        self.now += STEP_S
+        for craft in self.fleet.values():
+            self._fly(craft)
+        self._watch_separation(before)
+        self._watch_rates()
+
+    def _fly(self, craft: Craft) -> None:
+        here = craft.place
+        east, north, up = here
+        column = np.array([[*craft.home, 0.0], [*craft.home, HOME_HEIGHT_M]])
+        if craft.phase is Phase.GROUND:
+            if craft.battery < 1 and self.now - craft.landed_at >= BATTERY_SWAP_S and craft.landed_at > -math.inf:
+                craft.battery = 1.0
+            climbing = [c.home for c in self.fleet.values() if c.phase is Phase.CLIMB]
+            close = any(math.dist(craft.home, home) < LIMITS.planned_separation_m for home in climbing)
+            if craft.launching and not close and not self.traffic.nearby(craft.name, column, self.now):
+                craft.phase, craft.launching = Phase.CLIMB, False
+        elif craft.phase is Phase.CLIMB:
+            craft.place = east, north, min(up + LIMITS.vertical_speed_m_s * STEP_S, HOME_HEIGHT_M)
+            if craft.place[2] == HOME_HEIGHT_M:
+                craft.phase = Phase.FLY
+        elif craft.phase is Phase.DESCEND:
+            craft.place = east, north, max(up - LIMITS.vertical_speed_m_s * STEP_S, 0.0)
+            if craft.place[2] == 0.0:
+                craft.phase, craft.homing, craft.landed_at = Phase.GROUND, False, self.now
+        elif craft.follows(self.now):
+            setpoint = self.traffic.setpoint(craft.name, self.now)
+            craft.place = here if setpoint is None else setpoint.position
+            above_home = math.dist(craft.place, (*craft.home, HOME_HEIGHT_M)) < 0.1
+            if craft.homing and above_home and not self.traffic.nearby(craft.name, column, self.now):
+                craft.phase = Phase.DESCEND
+        if craft.in_air:
+            craft.battery = max(craft.battery - STEP_S / FLIGHT_TIME_S, 0.0)
+            craft.flown_m += math.dist(here, craft.place)
+
+    # --- what is measured
+
+    def _watch_separation(self, before: dict[str, tuple[float, float, float]]) -> None:
+        flying = [c for c in self.fleet.values() if c.in_air and c.name in before and c.place[2] > AIRBORNE_M]
+        if len(flying) < 2:
+            return
+        start, end = np.array([before[c.name] for c in flying]), np.array([c.place for c in flying])
+        first, second = np.triu_indices(len(flying), k=1)
+        gap = start[first] - start[second]
+        change = end[first] - end[second] - gap
+        length2 = np.maximum((change**2).sum(axis=1), 1e-12)
+        share = np.clip(-(gap * change).sum(axis=1) / length2, 0.0, 1.0)
+        apart = np.linalg.norm(gap + share[:, None] * change, axis=1)
+        if (least := float(apart.min())) < self.separation_m:
+            pair = [flying[int(index[apart.argmin()])] for index in (first, second)]
+            self.separation_m = least
+            self.closest = f"{' and '.join(c.name + ' (' + c.phase.name.lower() + ')' for c in pair)} at {self.now:g} s"
+
+    def _watch_rates(self) -> None:
+        served: set[str] = set()
+        for craft in self.fleet.values():
+            if not craft.in_air:
+                craft.powers = {}
+                continue
+            fed, would = self._fed(craft, craft.powers), self._fed(craft, craft.wanted)
+            if craft.powers != craft.wanted and len(would) >= len(fed):
+                craft.powers, fed = craft.wanted, would
+            served |= fed
+        for name in self.devices:
+            self.present_s[name] = self.present_s.get(name, 0.0) + STEP_S
+            self.served_s[name] = self.served_s.get(name, 0.0) + STEP_S * (name in served)
+        self.uavs_s.append(sum(craft.in_air for craft in self.fleet.values()))
+
+    def _fed(self, craft: Craft, powers: dict[str, float]) -> set[str]:
+        """Devices whose demand an aircraft meets from where it is, equation (3)."""
+        found = set()
+        for name, power in powers.items():
+            if (device := self.devices.get(name)) is not None:
+                distance2 = math.dist(craft.place, (*device.position, 0.0)) ** 2
+                if math.log2(1 + power * GAIN_OVER_NOISE / distance2) >= device.rate_demand - 1e-6:
+                    found.add(name)
+        return found
+
+
+def live(name: str, options: argparse.Namespace, scratch: bool) -> float:
+    """Live through the history; print what came of it, and return the least separation [m]."""
+    began = time.perf_counter()
+    world = World(options.devices, options.uavs, options.seed, scratch)
+    end = options.warmup + options.minutes * 60.0
+    events = [replace(e, at=e.at + options.warmup) for e in history(options.minutes * 60.0, options.seed + 1)]
+    warm, flown, count, steps = False, 0.0, 0, 0
+    world.keep_fleet()
+    while world.now < end:
+        wanted = world.plan is None
+        while events and events[0].at <= world.now:
+            wanted |= world.befall(events.pop(0))
+        if steps % LIFE_EVERY == 0:
+            wanted |= world.keep_fleet()
+        if wanted:
+            world.replan()
+            count += warm
+        if not warm and world.now >= options.warmup:
+            warm = True
+            world.served_s, world.present_s, world.latency_s, world.uavs_s, world.interrupted = {}, {}, [], [], 0
+            flown = sum(craft.flown_m for craft in world.fleet.values())
+        world.step()
+        steps += 1
+    world.traffic.close()
+    share = np.array([world.served_s[k] / world.present_s[k] for k in world.present_s if world.present_s[k] >= 60.0])
+    total = sum(world.served_s.values()) / sum(world.present_s.values())
+    metres = sum(craft.flown_m for craft in world.fleet.values()) - flown
+    p50, p99 = (1e3 * np.quantile(world.latency_s, q) for q in (0.5, 0.99))
+    gone = sum(craft.phase is Phase.GONE for craft in world.fleet.values())
+    print(
+        f"{name}: {count} plans for events; guaranteed rate available {total:.2%} of all device time; per device"
+        f" (present for a minute or more, n={len(share)}): median {np.median(share):.2%}, p5"
+        f" {np.quantile(share, 0.05):.2%}, least {share.min():.2%}; re-plan p50 {p50:.1f} ms, p99 {p99:.1f} ms;"
+        f" {metres / max(count, 1):.0f} m flown and {world.interrupted / max(count, 1):.2f} interruptions an event;"
+        f" {np.mean(world.uavs_s):.1f} UAVs in the air on average, {gone} crashed; least separation"
+        f" {world.separation_m:.2f} m ({world.closest}); simulated in {time.perf_counter() - began:.0f} s",
+        flush=True,
+    )
+    return world.separation_m
+
+
+def main() -> None:
+    """Run both ways through the same history; fail if aircraft came nearer to each other than they may."""
+    parser = argparse.ArgumentParser(prog="scripts/bench soak", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--minutes", type=float, default=60.0, help="simulated (default: %(default)g)")
+    parser.add_argument(
+        "--warmup", type=float, default=300.0, help="for the first deployment [s] (default: %(default)g)"
+    )
+    parser.add_argument("--devices", type=int, default=100, help="(default: %(default)s)")
+    parser.add_argument("--uavs", type=int, default=30, help="(default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="(default: %(default)s)")
+    options = parser.parse_args()
+    least = min(live(*way) for way in (("smallest change", options, False), ("from scratch   ", options, True)))
+    if least < LIMITS.min_separation_m - 1e-6:
+        raise SystemExit(f"aircraft came within {least:.2f} m; the limit is {LIMITS.min_separation_m:g} m")
+
+
+if __name__ == "__main__":
+    main()
