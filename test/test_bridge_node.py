@@ -5,6 +5,7 @@ Oracle: the simulated vehicles' own record, which reaches the test without the b
 
 from __future__ import annotations
 
+import json
 import math
 import signal
 import socket
@@ -241,3 +242,44 @@ def test_a_port_in_use_is_named(start_node: Callable[..., NodeProcess], fleet_fi
         bridge = start_node("bridge", {"fleet_file": str(fleet_file)})
         assert bridge.wait() == 1
     assert str(url.port) in bridge.output.strip().splitlines()[-1]
+
+
+def test_each_plan_is_kept_as_files_and_trouble_with_them_is_told_once(
+    graph: Graph, start_node: Callable[..., NodeProcess], fleet_file: Path, tmp_path: Path
+) -> None:
+    """Oracle: positions of the goals that the test publishes; 111.2 km to a degree of latitude, within 1 %."""
+    folder = tmp_path / "plans"
+    bridge = start_node("bridge", {"fleet_file": str(fleet_file), "plan_dir": str(folder)})
+    plans = publisher(graph, Deployment, "deployment")
+
+    def publish(plan_id: int) -> None:
+        message = plan(graph.node.get_clock().now().to_msg(), plan_id, "uav1", "")
+        message.cells[0].goal_pose = Pose(position=Point(x=0.0, y=1000.0, z=60.0))
+        plans.publish(message)
+
+    publish(1)
+    shown = graph.wait(lambda: (folder / "plan.plan").exists() and json.loads((folder / "plan.plan").read_text()), "it")
+    (item,) = shown["mission"]["items"]
+    assert item["params"][4] == pytest.approx(-37.8136 + 1.0 / 111.2, abs=1e-4)
+    assert (item["params"][5], item["Altitude"]) == (pytest.approx(144.9631, abs=1e-7), 60.0)
+    (circle,) = shown["geoFence"]["circles"]
+    assert circle["circle"]["radius"] == 5000
+    kinds = [f["properties"]["kind"] for f in json.loads((folder / "plan.geojson").read_text())["features"]]
+    assert kinds == ["uav", "fence"], "a cell without an aircraft is not shown"
+
+    # From now on the folder's place is taken by a file.
+    for path in folder.iterdir():
+        path.unlink()
+    folder.rmdir()
+    folder.write_text("")
+    states = graph.collect(VehicleState, "uav1/state", LATCHED)
+    goals = publisher(graph, PoseStamped, "uav1/goal_pose")
+    for plan_id in (2, 3):
+        publish(plan_id)
+        goals.publish(goal(graph, 0.0, 1000.0, 60.0 + plan_id))
+    graph.wait(lambda: "plan_dir: plan 2 cannot be written" in bridge.output, "the trouble in the log")
+    # The bridge goes on: a plan that leaves the aircraft out still reaches it, after the plans before.
+    plans.publish(plan(graph.node.get_clock().now().to_msg(), 4))
+    graph.wait(lambda: bool(states) and states[-1].goal_reason == "no cell in plan 4", "the newest plan")
+    assert bridge.stop() == 0
+    assert bridge.output.count("cannot be written") == 1

@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,7 @@ from jpap_ros.fleet.config import MapOrigin
 from jpap_ros.fleet.fence import Fence
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.plan_files import CIRCLE_CORNERS, DeviceMark, GoalMark, PlanPicture
+from jpap_ros.mavlink.plan_folder import write_plan
 
 ORIGIN = MapOrigin(-37.8, 145.0, 20.0)
 GOALS = [GoalMark("uav1", (0.0, 0.0), 50.0), GoalMark("uav2", (0.0, 1000.0), 60.0)]
@@ -85,3 +87,26 @@ def test_qgc_plan_has_waypoints_and_fence() -> None:
     assert circle["circle"]["radius"] == 800.0
     assert circle["circle"]["center"] == [pytest.approx(-37.8 + KILOMETRE_NORTH_DEG, abs=2e-7), pytest.approx(145.0)]
     assert plan["geoFence"]["polygons"] == []
+
+
+def test_a_folder_keeps_the_newest_plan_whole_in_every_format(tmp_path: Path) -> None:
+    # Oracle: the files read back by the formats' own parsers, and the names of the goals put in.
+    folder = tmp_path / "made" / "plans"
+    write_plan(folder, PlanPicture(LocalFrame(ORIGIN), GOALS[:1]), "ardupilot")
+    write_plan(folder, picture(), "px4")
+    # Nothing but the three files: no draft is left behind.
+    assert sorted(path.name for path in folder.iterdir()) == ["plan.geojson", "plan.kml", "plan.plan"]
+    features = json.loads((folder / "plan.geojson").read_text())["features"]
+    assert [f["properties"]["name"] for f in features if f["properties"]["kind"] == "uav"] == ["uav1", "uav2"]
+    assert "uav2" in ElementTree.tostring(ElementTree.parse(folder / "plan.kml").getroot(), encoding="unicode")
+    mission = json.loads((folder / "plan.plan").read_text())["mission"]
+    assert (len(mission["items"]), mission["firmwareType"]) == (2, 12)
+
+
+def test_a_plan_that_cannot_be_shown_leaves_the_files_of_the_one_before(tmp_path: Path) -> None:
+    write_plan(tmp_path, picture(), "px4")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    lost = PlanPicture(LocalFrame(ORIGIN), [GoalMark("uav1", (math.nan, 0.0), 50.0)])
+    with pytest.raises(ValueError, match="nan"):
+        write_plan(tmp_path, lost, "px4")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

@@ -270,7 +270,7 @@ class FleetController:
             self._tick(member, now)
         else:
             # Goals of one plan come together: one look at the traffic for all of them, in this same turn.
-            self._traffic_at = member.tick_at = now
+            self._traffic_at = member.tick_at = self._tick_due_at = now
 
     def _begin(
         self, member: _Member, order: FleetOrder, delay_s: float, future: Future[OrderResult], now: float
@@ -401,7 +401,8 @@ class FleetController:
     def _tick(self, member: _Member, now: float) -> None:
         self._reroute(member, now)
         if self._traffic is not None:
-            member.aircraft.setpoint = self._traffic.setpoint(member.aircraft.config.name, now)
+            # Where it should be in the middle of the time for which the target holds.
+            member.aircraft.setpoint = self._traffic.setpoint(member.aircraft.config.name, now + self._tick_s / 2)
         member.aircraft.tick(now)
         self._tell(member)
 

@@ -6,6 +6,7 @@ import sys
 import time
 from concurrent.futures import Future as Outcome
 from functools import partial
+from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
@@ -21,8 +22,11 @@ from std_msgs.msg import Header
 
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.mavlink.fleet_controller import FleetController, FleetOrder, OrderResult
+from jpap_ros.mavlink.geodesy import LocalFrame
+from jpap_ros.mavlink.plan_files import PlanPicture
+from jpap_ros.mavlink.plan_folder import write_plan
 from jpap_ros.mavlink.snapshot import AircraftSnapshot
-from jpap_ros.nodes.bridge_conversions import goal_of, pose_of, state_message
+from jpap_ros.nodes.bridge_conversions import goal_marks, goal_of, pose_of, state_message
 from jpap_ros.nodes.bridge_diagnostics import aircraft_status, link_status
 from jpap_ros.nodes.bridge_parameters import bridge_parameters, controller_settings
 from jpap_ros.nodes.goal_book import GoalBook
@@ -52,6 +56,9 @@ class BridgeNode(Node):
         self._map_frame: str = settings["map_frame"]
         self._use_yaw: bool = settings["use_goal_yaw"]
         self._announce_plans: bool = settings["announce_plans"]
+        self._plan_dir = Path(settings["plan_dir"]).expanduser() if settings["plan_dir"] else None
+        self._plan_dir_problem = ""
+        self._fleet = fleet
         self._plan_id: int | None = None
         self._names = fleet.names
         self._book = GoalBook()
@@ -127,6 +134,22 @@ class BridgeNode(Node):
                     where = f"{goal.x:.0f} E {goal.y:.0f} N {goal.z:.0f} m up"
                     devices = len(cell.device_ids)
                     self._controller.announce(cell.uav, f"Plan {message.plan_id}: {devices} devices, {where}")
+        if self._plan_dir is not None:
+            self._write_plan(self._plan_dir, message)
+
+    def _write_plan(self, folder: Path, message: Deployment) -> None:
+        """Show the plan in files; the same trouble is told once, and flying goes on."""
+        picture = PlanPicture(LocalFrame(self._fleet.origin), goal_marks(message, self._names), (), self._fleet.fence)
+        autopilot = "px4" if all(uav.autopilot == "px4" for uav in self._fleet.uavs) else "ardupilot"
+        try:
+            write_plan(folder, picture, autopilot)
+            problem = ""
+        except (OSError, ValueError) as error:
+            problem = f"plan_dir: plan {message.plan_id} cannot be written: {error}"
+        kind = problem.partition(" cannot")[2]
+        if kind and kind != self._plan_dir_problem:
+            self.get_logger().warning(problem)
+        self._plan_dir_problem = kind
 
     def _follow_book(self, name: str) -> None:
         assert self._controller is not None

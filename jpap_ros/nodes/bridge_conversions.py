@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-from jpap_msgs.msg import VehicleState
+from jpap_msgs.msg import Deployment, VehicleState
 from std_msgs.msg import Header
 
 from jpap_ros.mavlink.geodesy import yaw_enu_from_ned
 from jpap_ros.mavlink.goals import Goal
+from jpap_ros.mavlink.plan_files import GoalMark
 from jpap_ros.mavlink.snapshot import AircraftSnapshot
 
 
@@ -20,6 +22,12 @@ def goal_of(message: PoseStamped, use_yaw: bool) -> Goal:
     """
     position = message.pose.position
     return Goal(position.x, position.y, position.z, _yaw(message.pose.orientation) if use_yaw else None)
+
+
+def goal_marks(message: Deployment, names: Container[str]) -> list[GoalMark]:
+    """Return where a plan sends the UAVs of the fleet; cells without one are left out."""
+    places = [(cell.uav, cell.goal_pose.position) for cell in message.cells if cell.uav in names]
+    return [GoalMark(uav, (place.x, place.y), place.z) for uav, place in places]
 
 
 def _yaw(q: Quaternion) -> float | None:
