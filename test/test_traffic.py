@@ -1,7 +1,8 @@
 """Traffic control over time.
 
 Oracle: distances between all aircraft at every simulated instant, measured here; the aircraft follow their setpoints
-exactly, but for those that drop out, which stay where they are.
+exactly, but for those that drop out, which stop dead. No aircraft can, and the others need time to brake: only then is
+anything promised of their distance to it, and never that it grows by itself.
 """
 
 from __future__ import annotations
@@ -33,6 +34,11 @@ class World:
         self.goals: dict[str, Vector | None] = dict.fromkeys(places)
         self.obeys = dict.fromkeys(places, True)
         self.nearest = math.inf
+        limits = control.limits
+        #: Until when those who obey may still be braking for one that dropped out [s].
+        self.braking_s = 2 * STEP_S + limits.speed_m_s / limits.acceleration_m_s2
+        self.dropped_at: dict[str, float] = {}
+        self.allowed: dict[tuple[str, str], float] = {}
 
     def step(self) -> None:
         fleet = {
@@ -46,8 +52,18 @@ class World:
                 setpoint = self.control.setpoint(name, self.now)
                 assert setpoint is not None
                 self.places[name] = setpoint.position
-        pairs = combinations(self.places.values(), 2)
-        self.nearest = min(self.nearest, min((math.dist(a, b) for a, b in pairs), default=math.inf))
+            else:
+                self.dropped_at.setdefault(name, self.now)
+        for pair in combinations(self.places, 2):
+            self._watch(pair, math.dist(*(self.places[name] for name in pair)))
+
+    def _watch(self, pair: tuple[str, str], apart: float) -> None:
+        """Keep the least distance, but where one of the two dropped out: from then on no less than after braking."""
+        dropped = max((self.dropped_at[name] for name in pair if name in self.dropped_at), default=-math.inf)
+        if self.now - dropped <= self.braking_s:
+            self.allowed[pair] = apart
+        elif apart < self.allowed.get(pair, math.inf) - 1e-6:
+            self.nearest = min(self.nearest, apart)
 
     def run(self, until: Callable[[], bool], limit_s: float = 600.0) -> bool:
         end = self.now + limit_s
@@ -123,6 +139,31 @@ def test_an_aircraft_far_from_its_setpoint_stops_its_convoy(control: TrafficCont
     braking_m = LIMITS.speed_m_s**2 / (2 * LIMITS.acceleration_m_s2)
     assert stopped.position[0] == pytest.approx(ahead.position[0] + braking_m, abs=1e-6)
     assert stopped.velocity == pytest.approx((0.0, 0.0, 0.0))
+
+
+def test_an_aircraft_whose_goal_is_taken_away_stops_on_its_way(control: TrafficControl) -> None:
+    world = World(control, {"a": (0.0, 0.0, 50.0)})
+    world.goals = {"a": (400.0, 0.0, 50.0)}
+    world.run(lambda: world.places["a"][0] > 100.0)
+    here, world.goals["a"] = world.places["a"][0], None
+    world.run(lambda: False, 30.0)
+    # v^2 / 2a, and the way of the step in which it was noticed.
+    braking_m = LIMITS.speed_m_s**2 / (2 * LIMITS.acceleration_m_s2)
+    assert world.places["a"][0] == pytest.approx(here + braking_m, abs=LIMITS.speed_m_s * STEP_S)
+
+
+def test_those_held_in_a_convoy_do_not_stop_the_others() -> None:
+    # b waits for a goal above which somebody stands; a and b cross, and so share a convoy.
+    control = TrafficControl(QUICK)
+    try:
+        world = World(control, {"a": (0.0, 0.0, 50.0), "b": (40.0, 40.0, 50.0), "c": (80.0, 0.0, 50.0)})
+        world.goals = {"a": (40.0, 80.0, 50.0), "b": (80.0, 0.0, 50.0), "c": None}
+        world.obeys["c"] = False
+        assert world.run(lambda: world.at("a"), 60.0)
+        assert "c" in control.held("b")
+        assert world.nearest >= 10.0
+    finally:
+        control.close()
 
 
 def test_an_obstacle_above_a_goal_holds_the_aircraft_and_says_who_it_is(control: TrafficControl) -> None:

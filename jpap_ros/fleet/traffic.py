@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 
 import numpy as np
 
 from jpap_ros.fleet.arrays import Floats
 from jpap_ros.fleet.separation_check import polyline_distance
-from jpap_ros.fleet.transit import plan_transit
 from jpap_ros.fleet.transit_plan import Convoy, Obstacle, TransitLimits, TransitPlan
+from jpap_ros.fleet.transit_worker import TransitWorker
 
 Vector = tuple[float, float, float]
 
@@ -76,6 +76,8 @@ class _Flight:
 
     convoy: Convoy
     started: float
+    #: What each member wanted when the way was planned; some may end short of it, for want of a free way.
+    wanted: Mapping[str, Vector | None]
     braking: bool = False
 
     def ended(self, now: float) -> bool:
@@ -136,11 +138,11 @@ class TrafficControl:
         self._tried: _Request | None = None
         self._tried_at = -math.inf
         self._asked: tuple[_Request, Future[TransitPlan]] | None = None
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="traffic")
+        self._worker = TransitWorker()
 
     def close(self) -> None:
         """End the worker."""
-        self._worker.shutdown(wait=True, cancel_futures=True)
+        self._worker.close()
 
     def step(self, now: float, fleet: Mapping[str, Traveller]) -> None:
         """Take in where everybody is and wants to go; to be called several times a second, and at once on a change."""
@@ -244,11 +246,16 @@ class TrafficControl:
         for flight in self._flights:
             if flight.braking:
                 continue
-            ends = zip(flight.convoy.names, flight.convoy.waypoints[-1], strict=True)
-            if any(not _same(self._goal(name, end), end) for name, end in ends) or self._blocked(
-                flight, now, obstacles
-            ):
+            changed = any(self._changed(name, flight.wanted[name]) for name in flight.convoy.names)
+            if changed or self._blocked(flight, now, obstacles):
                 flight.brake(now)
+
+    def _changed(self, name: str, wanted: Vector | None) -> bool:
+        """Whether an aircraft wants something else than what its way was planned for; without a goal it stops."""
+        goal = self._fleet[name].goal
+        if goal is None or wanted is None:
+            return goal is not wanted
+        return not _same(goal, wanted)
 
     def _blocked(self, flight: _Flight, now: float, obstacles: tuple[Obstacle, ...]) -> bool:
         if not obstacles:
@@ -280,7 +287,7 @@ class TrafficControl:
             return
         self._tried, self._tried_at = request, now
         committed = [flight.rest(now) for flight in self._flights]
-        future = self._worker.submit(plan_transit, request.resting, goals, self.limits, obstacles, committed)
+        future = self._worker.submit(request.resting, goals, self.limits, obstacles, committed)
         self._asked = request, future
         wait([future], self._patience_s)
 
@@ -308,7 +315,8 @@ class TrafficControl:
         for convoy in plan.convoys:
             if convoy.names in known or not set(convoy.names) <= self._resting.keys() or convoy.duration_s == 0.0:
                 continue
-            self._flights.append(_Flight(convoy, now))
+            wanted = {name: self._fleet[name].goal for name in convoy.names}
+            self._flights.append(_Flight(convoy, now, wanted))
             for name in convoy.names:
                 del self._resting[name]
 
