@@ -50,14 +50,21 @@ HEIGHT_M, STEP_UP_M, SHIFT_M = 50.0, 4.0, 200.0
 PATIENCE_S = 120.0
 
 
+def free_ports(count: int) -> list[int]:
+    """UDP ports below those that the system hands out by itself, as to the vehicles."""
+    found: list[int] = []
+    port = random.randrange(10_000, 25_000)
+    while len(found) < count:
+        port += 1
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            found.append(port)
+    return found
+
+
 def fleet_of(count: int, links: int) -> FleetConfig:
     """Vehicles on a square grid, shared out over links."""
-    probes = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(links)]
-    for probe in probes:
-        probe.bind(("127.0.0.1", 0))
-    urls = [LinkUrl("udpin", *probe.getsockname()) for probe in probes]
-    for probe in probes:
-        probe.close()
+    urls = [LinkUrl("udpin", "127.0.0.1", port) for port in free_ports(links)]
     columns = math.ceil(math.sqrt(count))
     pads = [(PITCH_M * (i % columns), PITCH_M * (i // columns)) for i in range(count)]
     uavs = [UavConfig(f"uav{i + 1}", i + 1, (urls[i % links],), "ardupilot", home_m=pad) for i, pad in enumerate(pads)]
