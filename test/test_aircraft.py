@@ -12,6 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import MapOrigin, UavConfig
+from jpap_ros.fleet.traffic import Setpoint
 from jpap_ros.mavlink import procedures
 from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings
 from jpap_ros.mavlink.geodesy import LocalFrame
@@ -275,3 +276,103 @@ def test_a_slow_radio_gets_slower_telemetry_and_a_hopeless_one_is_told() -> None
     assert slow[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT] >= 0.5
     # 4 aircraft * 2 Hz * 65 bytes of targets alone are 520 byte/s: payload 53, header and checksum 12.
     assert affordable_rates(500.0, 4, 2.0, signed=False)[1]
+
+
+def echo(rig: Rig, up_m: float, east_m: float = 0.0) -> None:
+    """ArduPilot's POSITION_TARGET_GLOBAL_INT: frame 0, above mean sea level; home is at 20 m."""
+    lat, lon = LocalFrame(ORIGIN).to_geodetic(east_m, 0.0)
+    zeros = [0.0] * 8
+    rig.hear(
+        mavlink.MAVLink_position_target_global_int_message(
+            0, 0, 0x0DF8, round(lat * 1e7), round(lon * 1e7), 20.0 + up_m, *zeros
+        )
+    )
+
+
+def test_a_moving_target_goes_out_with_its_velocity_in_north_east_down_and_at_least_5_hz() -> None:
+    # By hand from the message definition: POSITION_TARGET_TYPEMASK ignores acceleration (64 + 128 + 256), yaw (1024)
+    # and yaw rate (2048), but neither position (1, 2, 4) nor velocity (8, 16, 32): 448 + 3072 = 3520.
+    rig = Rig(setpoint_rate_hz=1.0).launched()
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.wire.clear()
+    rig.aircraft.setpoint = Setpoint((10.0, 20.0, 60.0), (3.0, -4.0, 0.5))
+    rig.run(2.0)
+    lat, lon = LocalFrame(ORIGIN).to_geodetic(10.0, 20.0)
+    first = rig.targets[0]
+    assert first.type_mask == 3520 == 0x0DC0
+    assert (first.lat_int, first.lon_int, first.alt) == (round(lat * 1e7), round(lon * 1e7), 60.0)
+    # East 3, north -4, up 0.5 is north -4, east 3, down -0.5.
+    assert (first.vx, first.vy, first.vz) == (-4.0, 3.0, -0.5)
+    assert 9 <= len(rig.targets) <= 11
+    # At rest in the end: position alone (mask 0x0DF8), at the slow rate asked for.
+    rig.aircraft.setpoint = Setpoint((100.0, 0.0, 50.0))
+    rig.run(0.2)
+    assert rig.targets[-1].type_mask == 0x0DF8
+    rig.wire.clear()
+    rig.run(5.0)
+    assert 4 <= len(rig.targets) <= 6
+
+
+def test_under_traffic_control_nothing_but_its_setpoint_is_flown() -> None:
+    rig = Rig().launched()
+    rig.aircraft.under_traffic_control = True
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.wire.clear()
+    rig.run(1.0)
+    assert rig.goal == (GoalState.NONE, "waiting for traffic control")
+    here = round(ORIGIN.longitude * 1e7)
+    assert {m.lon_int for m in rig.targets} == {here}, "it holds where it is"
+    rig.aircraft.setpoint = Setpoint((1.0, 0.0, 50.0), (1.0, 0.0, 0.0))
+    rig.run(0.2)
+    assert rig.goal[0] is GoalState.SENT and rig.targets[-1].lon_int > here
+
+
+def test_who_follows_a_detour_obeys_and_who_stays_behind_does_not() -> None:
+    # PX4 echoes nothing in OFFBOARD, so where it is has to do. OBEY_TIMEOUT_S is 5 s, FOLLOWING_M 5 m.
+    rig = Rig().launched()
+    rig.aircraft.under_traffic_control = True
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.aircraft.setpoint = Setpoint((0.0, 0.0, 52.0), (0.0, 0.0, 1.0))
+    rig.run(10.0)
+    assert rig.goal[0] is GoalState.SENT
+    rig.aircraft.setpoint = Setpoint((0.0, 0.0, 58.0), (0.0, 0.0, 1.0))
+    rig.run(6.0)
+    assert rig.goal[0] is GoalState.REJECTED and "no sign of obeying" in rig.goal[1]
+
+
+def test_an_echo_of_a_target_before_is_no_wrong_altitude_datum_but_one_that_stays_is() -> None:
+    rig = Rig().launched()
+    rig.aircraft.under_traffic_control = True
+    rig.aircraft.set_goal(Goal(0.0, 0.0, 30.0))
+    # Relief waits 12 m above its cell, and then drops to it.
+    rig.aircraft.setpoint = Setpoint((0.0, 0.0, 42.0))
+    rig.run(1.0)
+    rig.aircraft.setpoint = Setpoint((0.0, 0.0, 30.0))
+    rig.run(0.5)
+    assert rig.targets[-1].alt == 30.0
+    echo(rig, 42.0)
+    assert rig.goal[0] is GoalState.ACCEPTED and rig.aircraft.problems() == []
+    rig.run(4.0)
+    # Nothing was heard since: still no reason to think so.
+    assert rig.aircraft.problems() == []
+    echo(rig, 42.0)
+    (problem,) = rig.aircraft.problems()
+    assert "altitude datum" in problem and "62.0 m" in problem and "50.0 m" in problem
+    echo(rig, 30.0)
+    assert rig.aircraft.problems() == []
+
+
+def test_while_the_target_moves_an_echo_nearby_is_of_it() -> None:
+    # 500 units of 1e-7 deg of latitude are 5.6 m; a target at rest allows 2 units, 2 cm.
+    rig = Rig().launched()
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.aircraft.setpoint = Setpoint((10.0, 0.0, 50.0), (1.0, 0.0, 0.0))
+    rig.run(0.1)
+    echo(rig, 50.0, east_m=8.0)
+    assert rig.goal[0] is GoalState.SENT, "it has not moved yet"
+    rig.aircraft.setpoint = Setpoint((11.0, 0.0, 50.0), (1.0, 0.0, 0.0))
+    rig.run(0.2)
+    echo(rig, 50.0, east_m=30.0)
+    assert rig.goal[0] is GoalState.SENT, "that is somewhere else"
+    echo(rig, 50.0, east_m=8.0)
+    assert rig.goal[0] is GoalState.ACCEPTED

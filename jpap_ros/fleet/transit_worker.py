@@ -95,6 +95,7 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
             request = pickle.load(requests)
         except EOFError:
             return
+        answer: tuple[TransitPlan | None, str | None]
         try:
             answer = plan_transit(*request), None
         except Exception as error:

@@ -39,8 +39,12 @@ from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState, Vehicle
 
 #: Commands in a row without an answer, while the vehicle is heard well, before that is reported.
 UNANSWERED_SUSPICIOUS = 3
+#: This near to a moving setpoint an aircraft follows it [m].
+FOLLOWING_M = 5.0
 #: Least rate of targets that move [Hz].
 MOVING_TARGET_HZ = 5.0
+#: An echo sooner than this after its target was changed may still be of the one before [s].
+ECHO_SETTLED_S = 3.0
 #: The autopilot's words from this long before a takeover belong to it [s].
 WORDS_BEFORE_S = 5.0
 _MULTICOPTERS = frozenset(
@@ -147,6 +151,8 @@ class Aircraft:
         #: Where traffic control wants it now; None: it has no part in it. And why it has to wait there.
         self.setpoint: Setpoint | None = None
         self.way_closed = ""
+        #: Whether it flies nowhere but where traffic control wants it.
+        self.under_traffic_control = False
         self._frame = frame
         self._send = send
         self._deadman = deadman
@@ -161,6 +167,7 @@ class Aircraft:
         self._rest: tuple[Setpoint, Target] | None = None
         self._send_at = -math.inf
         self._sent_target: Target | None = None
+        self._changed_at = -math.inf
         self._reposition: Pending | None = None
         self._parting: Pending | None = None
 
@@ -355,6 +362,8 @@ class Aircraft:
         obstacle = self._obstacle()
         if obstacle is None and self.way_closed:
             obstacle = GoalState.NONE, f"waiting for a free way: {self.way_closed}"
+        if obstacle is None and self.under_traffic_control and self.setpoint is None:
+            obstacle = GoalState.NONE, "waiting for traffic control"
         if obstacle is not None:
             self.life.set_aside(*obstacle)
             self._goal_begun = False
@@ -373,11 +382,17 @@ class Aircraft:
             self._hold_target = None
             if self._goal_begun and self.setpoint is not None:
                 self.life.moves((target.lat_e7, target.lon_e7))
+                self._follow(self.setpoint)
             else:
                 self.life.sent((target.lat_e7, target.lon_e7), self.now)
             self._goal_begun = True
             self.life.tick(self.now, self.vehicle.words_since(self.life.sent_at))
         self._put_on_wire(target)
+
+    def _follow(self, setpoint: Setpoint) -> None:
+        """Whoever is where traffic control wants it obeys, though it may not come nearer to its goal meanwhile."""
+        if self.enu_m is not None and math.dist(self.enu_m, setpoint.position) <= FOLLOWING_M:
+            self.life.follows(self.now)
 
     def _target_at(self, setpoint: Setpoint) -> Target | None:
         """Target for a place that traffic control gives."""
@@ -495,7 +510,7 @@ class Aircraft:
         echoed = self.life.state in (GoalState.ACCEPTED, GoalState.EN_ROUTE, GoalState.REACHED)
         if not echoed or target is None or home is None or echo is None or not self.life.is_target(echo):
             return None
-        if self._sent_target is not target:
+        if self._sent_target is not target or echo.received_at < self._changed_at + ECHO_SETTLED_S:
             return None
         relative = self.datum is AltitudeDatum.RELATIVE
         return echo_problem(echo, home.amsl_m + target.height_m if relative else target.amsl_m, home)
@@ -519,7 +534,7 @@ class Aircraft:
         changed = target != self._sent_target
         if self.settings.transport is Transport.REPOSITION:
             if changed and not self.commands.busy(mavlink.MAV_CMD_DO_REPOSITION):
-                self._sent_target = target
+                self._sent_target, self._changed_at = target, self.now
                 command = self.autopilot.reposition(target, self.vehicle, self.datum)
                 self._reposition = self.commands.start(command, self.now)
             return
@@ -535,6 +550,8 @@ class Aircraft:
         # Regular on average, however late this call comes; after a pause, regular from now on.
         self._send_at = max(self._send_at, self.now - interval_s) + interval_s
         self._sent_target = target
+        if changed:
+            self._changed_at = self.now
         time_boot_ms = round(self.now * 1e3)
         self._send(self.autopilot.position_target(target, self.vehicle, self.datum, time_boot_ms))
 

@@ -183,6 +183,8 @@ class FleetController:
         # Targets that move need a stream of setpoints.
         streams = settings.aircraft.transport is Transport.SETPOINT
         self._traffic = TrafficControl(settings.traffic) if settings.traffic and streams else None
+        for member in self._members.values():
+            member.aircraft.under_traffic_control = self._traffic is not None
         self._by_sysid = {member.aircraft.config.sysid: member for member in self._members.values()}
 
     # --- for any thread

@@ -79,6 +79,7 @@ class GoalLife:
         #: Distance to the goal [m]; NaN: unknown or no goal.
         self.distance_m = math.nan
         self._sent_at = math.inf
+        self._obey_from = math.inf
         self._target_e7: tuple[int, int] | None = None
         self._moving = False
         self._distance_when_sent_m = math.nan
@@ -108,7 +109,7 @@ class GoalLife:
             return
         self._target_e7 = target_e7
         self._moving = False
-        self._sent_at = now
+        self._sent_at = self._obey_from = now
         self._distance_when_sent_m = math.nan
         self._other_echo = None
         self.state = GoalState.SENT
@@ -118,6 +119,11 @@ class GoalLife:
         """The target has moved on along the way to the same goal."""
         self._moving = self._moving or target_e7 != self._target_e7
         self._target_e7 = target_e7
+
+    def follows(self, now: float) -> None:
+        """It is where its target is: the time to show obedience begins afresh."""
+        if self.state is GoalState.SENT:
+            self._obey_from = now
 
     def resent(self, now: float) -> None:
         """A new height or heading at the same place: observe afresh."""
@@ -176,7 +182,7 @@ class GoalLife:
         words : str
             The autopilot's own, since the target was sent.
         """
-        if self.state is not GoalState.SENT or now - self._sent_at < OBEY_TIMEOUT_S:
+        if self.state is not GoalState.SENT or now - self._obey_from < OBEY_TIMEOUT_S:
             return
         if self._other_echo is None:
             reason = f"targets are sent but the autopilot has shown no sign of obeying for {OBEY_TIMEOUT_S:.0f} s"
