@@ -233,8 +233,8 @@ def stream_by_mavsdk(fleet: FleetConfig, seconds: float, pipe: Connection) -> No
             return False
         return True
 
-    until(lambda: len(client.systems()) == len(fleet.uavs))
-    systems = client.systems()
+    until(lambda: len(client.get_systems()) == len(fleet.uavs))
+    systems = client.get_systems()
     telemetry = [Telemetry(system) for system in systems]
     offboard = [Offboard(system) for system in systems]
     frame = LocalFrame(ORIGIN)
@@ -244,6 +244,8 @@ def stream_by_mavsdk(fleet: FleetConfig, seconds: float, pipe: Connection) -> No
         until(lambda action=action: succeeds(action.arm))
         until(lambda action=action: succeeds(action.takeoff))
     for one in telemetry:
+        # ArduPilot streams only what it is asked for.
+        one.set_rate_position(4.0)
         until(lambda one=one: one.position().relative_altitude_m > HEIGHT_M - 1.0)
     lat, lon = frame.to_geodetic(0.0, SHIFT_M)
 
@@ -277,7 +279,7 @@ def main() -> None:
     parser.add_argument("--traffic", choices=["on", "off", "both"], default="both")
     parser.add_argument("--profile", action="store_true", help="profile the bridge's I/O thread; costs CPU itself")
     args = parser.parse_args()
-    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}", flush=True)
     context = multiprocessing.get_context("spawn")
     hover = math.nan
     for traffic in {"both": [False, True], "on": [True], "off": [False]}[args.traffic]:
