@@ -143,7 +143,7 @@ def measure(devices: int, uavs: int, joins: int, seed: int) -> tuple[np.ndarray,
         work = Path(folder)
         for file, used in (("bridge.yaml", ports[:uavs]), ("sim.yaml", ports[uavs:])):
             entries = [
-                {"name": n, "sysid": i + 1, "url": f"udpin:127.0.0.1:{p}", "home_m": [10.0 * (i % 6), 10.0 * (i // 6)]}
+                {"name": n, "sysid": i + 1, "url": f"udpin:127.0.0.1:{p}", "home_m": [20.0 * (i % 6), 20.0 * (i // 6)]}
                 for i, (n, p) in enumerate(zip(names, used, strict=True))
             ]
             (work / file).write_text(

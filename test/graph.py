@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import signal
@@ -23,6 +24,9 @@ from rclpy.qos import QoSProfile
 PATIENCE_S = 60.0
 
 T = TypeVar("T")
+
+_PR_SET_PDEATHSIG = 1
+_libc = ctypes.CDLL(None)
 
 
 class NodeProcess:
@@ -59,6 +63,14 @@ class NodeProcess:
         if namespace:
             command += ["-r", f"__ns:={namespace}"]
         self._log = log
+        parent = os.getpid()
+
+        def die_with_parent() -> None:
+            # A test session that is killed must leave nobody behind in its ROS domain and on its ports.
+            _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+            if os.getppid() != parent:
+                os._exit(1)
+
         with log.open("w") as sink:
             self.process = subprocess.Popen(
                 [*command, *arguments],
@@ -67,6 +79,7 @@ class NodeProcess:
                 stderr=subprocess.STDOUT,
                 env={**os.environ, "ROS_LOG_DIR": str(log.parent / "ros_log"), **(environment or {})},
                 start_new_session=True,
+                preexec_fn=die_with_parent,
             )
 
     @property

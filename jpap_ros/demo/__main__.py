@@ -21,6 +21,7 @@ from typing import Any
 
 import rclpy
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
+from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from rich.live import Live
 
@@ -69,7 +70,8 @@ def _play(scenario: Scenario, work: Path, out: Path, share: Path, console: Conso
     source = SiteSource(share / "config/data/eua/users-melbcbd.csv", LocalFrame(fleet.origin), scenario.seed)
     console.print(f"{scenario.title}; ROS_DOMAIN_ID {os.environ['ROS_DOMAIN_ID']}", highlight=False, soft_wrap=True)
     with Children(work) as children:
-        rclpy.init(args=[])
+        # Ctrl-C is Python's: it ends the scenario, not the graph under it.
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:
             _start_nodes(children, fleet_file, scenario)
             with Live(console=console, refresh_per_second=8, transient=not console.is_terminal) as live:

@@ -113,7 +113,7 @@ class Budget:
             for _, group in groupby(slowable, key=lambda i: streams[i].priority):
                 members = list(group)
                 wanted = sum((targets[i] - rates[i]) * streams[i].size_bytes for i in members)
-                share = 1.0 if wanted <= left else max(0.0, left) / wanted
+                share = 1.0 if wanted <= max(0.0, left) else max(0.0, left) / wanted
                 for i in members:
                     rates[i] += share * (targets[i] - rates[i])
                 left -= share * wanted
