@@ -102,7 +102,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--instances", type=int, default=5, help="instances for each figure (default: 5)")
     parser.add_argument("--largest", type=int, default=SIZES[-1], help="most devices (default: %(default)s)")
-    parser.add_argument("--plot", type=Path, default=Path("bench/planning.png"), help="where to save the log-log plot")
+    parser.add_argument("--plot", type=Path, default=Path("out/planning.png"), help="where to save the log-log plot")
     arguments = parser.parse_args()
     sizes = [count for count in SIZES if count <= arguments.largest]
     times = [median_time(count, arguments.instances if count <= 1000 else 1) for count in sizes]
@@ -128,6 +128,7 @@ def _plot(path: Path, sizes: list[int], times: list[float]) -> None:
     axes.set(xlabel="devices K, at constant density", ylabel="time [s]")
     axes.grid(which="both", alpha=0.3)
     axes.legend()
+    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
     print(f"plot: {path}")
 
