@@ -20,7 +20,6 @@ from jpap_ros.fleet.transit_plan import TransitLimits
 from jpap_ros.mavlink import procedures
 from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings, Procedure
 from jpap_ros.mavlink.autopilots import Transport
-from jpap_ros.mavlink.departures import Departures
 from jpap_ros.mavlink.fleet_links import open_links
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal
@@ -186,8 +185,6 @@ class FleetController:
         self._traffic = TrafficControl(settings.traffic) if settings.traffic and streams else None
         for member in self._members.values():
             member.aircraft.under_traffic_control = self._traffic is not None
-        height_m = settings.aircraft.takeoff_height_m
-        self._departures = None if self._traffic is None else Departures(self._traffic, height_m)
         self._by_sysid = {member.aircraft.config.sysid: member for member in self._members.values()}
 
     # --- for any thread
@@ -252,8 +249,6 @@ class FleetController:
         """
         futures: dict[str, Future[OrderResult]] = {name: Future() for name in names}
         rank = 0
-        if order is FleetOrder.LAUNCH:
-            self._call(lambda now: self._enlist(names))
         for name, future in futures.items():
             member = self._members.get(name)
             if member is None:
@@ -279,15 +274,6 @@ class FleetController:
             # Goals of one plan come together: one look at the traffic for all of them, in this same turn.
             self._traffic_at = member.tick_at = self._tick_due_at = now
 
-    def _enlist(self, names: list[str]) -> None:
-        """Let those who are told together take off in good order; one whose place is not known yet comes later."""
-        if self._departures is None:
-            return
-        standing = {name: self._members[name].aircraft for name in names if name in self._members}
-        self._departures.enlist(
-            {name: one.enu_m[:2] for name, one in standing.items() if one.vehicle.on_ground and one.enu_m is not None}
-        )
-
     def _begin(
         self, member: _Member, order: FleetOrder, delay_s: float, future: Future[OrderResult], now: float
     ) -> None:
@@ -297,17 +283,8 @@ class FleetController:
         def done(success: bool, message: str) -> None:
             future.set_result(OrderResult(success, message))
 
-        aircraft.run(self._procedure(order, aircraft, delay_s), done, order.value)
+        aircraft.run(_procedure(order, aircraft, delay_s), done, order.value)
         self._tick(member, now)
-
-    def _procedure(self, order: FleetOrder, aircraft: Aircraft, delay_s: float) -> Procedure:
-        if order is FleetOrder.LAUNCH:
-            return procedures.launch(aircraft, delay_s, self._departures)
-        if order is FleetOrder.HOLD:
-            return procedures.hold(aircraft)
-        if order is FleetOrder.RETURN_HOME:
-            return procedures.return_home(aircraft)
-        return procedures.land(aircraft)
 
     def _run(self) -> None:
         try:
@@ -465,3 +442,13 @@ def _budget(link: LinkConfig, setpoint_hz: float) -> tuple[dict[int, float], str
         f"{link.url} carries {link.max_bytes_per_s:g} byte/s, too little for heartbeats and {setpoint_hz:g} targets a "
         f"second to {len(link.uavs)} aircraft: lower setpoint_rate_hz or use more links"
     )
+
+
+def _procedure(order: FleetOrder, aircraft: Aircraft, delay_s: float) -> Procedure:
+    if order is FleetOrder.LAUNCH:
+        return procedures.launch(aircraft, delay_s)
+    if order is FleetOrder.HOLD:
+        return procedures.hold(aircraft)
+    if order is FleetOrder.RETURN_HOME:
+        return procedures.return_home(aircraft)
+    return procedures.land(aircraft)

@@ -9,7 +9,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from jpap_ros.mavlink.aircraft import Aircraft, Procedure, ProcedureFailed
 from jpap_ros.mavlink.autopilots import Autopilot, TargetError, Transport
 from jpap_ros.mavlink.commands import Command, Outcome
-from jpap_ros.mavlink.departures import Departures
 from jpap_ros.mavlink.vehicle import LinkState
 
 #: A mode asked for must show in the heartbeat within this [s].
@@ -18,8 +17,6 @@ MODE_TIMEOUT_S = 5.0
 ARMED_TIMEOUT_S = 5.0
 #: STATUSTEXT that explains a refusal may come this long after the answer [s].
 WORDS_AFTER_S = 1.0
-#: An aircraft waits so long on the ground for neighbours to climb or to get out of its way [s].
-TURN_TIMEOUT_S = 180.0
 #: A climb may take this long, plus a time that grows with the height [s], [m/s].
 CLIMB_TIMEOUT_S = 30.0
 CLIMB_SPEED_M_S = 0.5
@@ -27,7 +24,7 @@ CLIMB_SPEED_M_S = 0.5
 Wait = Generator[None, None, None]
 
 
-def launch(aircraft: Aircraft, delay_s: float = 0.0, departures: Departures | None = None) -> Procedure:
+def launch(aircraft: Aircraft, delay_s: float = 0.0) -> Procedure:
     """Take an aircraft from the ground into the air, or back from a pilot, and open it to the planner's goals.
 
     Arming and take-off are sent once each: without an answer the heartbeat and the landed state decide, and nothing
@@ -38,17 +35,7 @@ def launch(aircraft: Aircraft, delay_s: float = 0.0, departures: Departures | No
     aircraft : Aircraft
     delay_s : float
         Wait before the first step, so that neighbours do not rise together [s].
-    departures : Departures, optional
-        Says when its turn to climb has come, and how high it climbs.
     """
-    try:
-        return (yield from _launch(aircraft, delay_s, departures))
-    finally:
-        if departures is not None:
-            departures.leave(aircraft.config.name)
-
-
-def _launch(aircraft: Aircraft, delay_s: float, departures: Departures | None) -> Procedure:
     aircraft.held_because = ""
     aircraft.recalled = False
     height_m = aircraft.settings.takeoff_height_m
@@ -66,8 +53,6 @@ def _launch(aircraft: Aircraft, delay_s: float, departures: Departures | None) -
         return "in the air already; flies its goals now"
     if not aircraft.vehicle.on_ground:
         raise ProcedureFailed("it is taking off or landing; call again when it is in the air or on the ground")
-    if departures is not None:
-        height_m = yield from _turn(aircraft, departures)
     autopilot = _autopilot(aircraft)
     aircraft.authority.take({aircraft.mode}, aircraft.now)
     try:
@@ -81,25 +66,6 @@ def _launch(aircraft: Aircraft, delay_s: float, departures: Departures | None) -
         raise
     yield from _open_to_goals(aircraft)
     return f"in the air at {height_m:g} m; flies its goals now"
-
-
-def _turn(aircraft: Aircraft, departures: Departures) -> Generator[None, None, float]:
-    """Wait until this aircraft may climb; returns how high, above home [m]."""
-    name = aircraft.config.name
-    hindrance = "its position is not known"
-
-    def come() -> bool:
-        nonlocal hindrance
-        if aircraft.enu_m is not None:
-            hindrance = departures.hindrance(name, aircraft.enu_m[:2], aircraft.now)
-        return not hindrance
-
-    if not (yield from _until(aircraft, come, TURN_TIMEOUT_S)):
-        raise ProcedureFailed(f"no way up within {TURN_TIMEOUT_S:g} s: waits for {hindrance}")
-    height_m = departures.height_m(name)
-    if problem := _takeoff_problem(aircraft, height_m):
-        raise ProcedureFailed(problem)
-    return height_m
 
 
 def hold(aircraft: Aircraft) -> Procedure:
