@@ -172,25 +172,6 @@ class TrafficControl:
         """Why an aircraft is not on its way to its goal; empty if it is, or is there."""
         return self._held.get(name, "")
 
-    def nearby(self, name: str, line: Floats, now: float) -> str:
-        """Who comes too near to a line, (2, 3), that another aircraft wants to climb or descend; empty if nobody.
-
-        As of the last step; those on the way count with all of the path that they have left.
-        """
-        wanted = self.limits.planned_separation_m - SAME_PLACE_M
-        for other, place in self._resting.items():
-            if other != name and polyline_distance(line, np.array([place])) < wanted:
-                return other
-        for flight in self._flights:
-            paths = np.swapaxes(flight.rest(now).waypoints, 0, 1)
-            for other, path in zip(flight.convoy.names, paths, strict=True):
-                if other != name and polyline_distance(line, path) < wanted:
-                    return other
-        for obstacle in self._obstacles():
-            if obstacle.name != name and polyline_distance(line, obstacle.column) < wanted + obstacle.radius_m:
-                return obstacle.name
-        return ""
-
     # One step, part by part
 
     def _land(self, now: float) -> None:
