@@ -95,9 +95,13 @@ def test_from_goal_to_hover_and_back_to_hold(
     first = goal(graph, 30.0, 40.0, 50.0)
     goals.publish(first)
     plans.publish(plan(first.header.stamp, 7, "uav1"))
-    waiting = ears.until("uav1", lambda s: s.goal_plan_id == 7 and bool(s.autopilot), "knows its plan and autopilot")
+    # Between the first heartbeat and the next look at the aircraft the reason is still that there was none.
+    waiting = ears.until(
+        "uav1",
+        lambda s: s.goal_plan_id == 7 and bool(s.autopilot) and "bridge/launch" in s.goal_reason,
+        "launch awaited",
+    )
     assert (waiting.goal_state, waiting.armed) == (VehicleState.GOAL_NONE, False)
-    assert "bridge/launch" in waiting.goal_reason
     assert not sim["uav1"].armed, "nobody asked for a launch"
 
     answer = graph.call(FleetCommand, "bridge/launch")
