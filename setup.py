@@ -24,7 +24,7 @@ setup(
     maintainer_email="maintainers@jpap-ros.example",
     license="Apache-2.0",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={PACKAGE: ["py.typed", "dashboard/static/**/*", "report/*.j2"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -39,6 +39,10 @@ setup(
             f"planner = {PACKAGE}.nodes.planner:main",
             f"bridge = {PACKAGE}.nodes.bridge:main",
             f"sim = {PACKAGE}.nodes.sim:main",
+            f"markers = {PACKAGE}.nodes.markers:main",
+            f"dashboard = {PACKAGE}.nodes.dashboard:main",
+            f"recorder = {PACKAGE}.nodes.recorder:main",
+            f"replay = {PACKAGE}.nodes.replay:main",
         ],
     },
 )

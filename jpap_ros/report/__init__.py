@@ -1,0 +1,1 @@
+"""One page about a recorded flight, read from an MCAP file; no ROS graph."""
