@@ -14,7 +14,7 @@ from jpap_ros.fleet.arrays import Floats
 
 def synchronous_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
     """Least distance [m] of a0 + s (a1 - a0) and b0 + s (b1 - b0) for the same s in [0, 1]; shapes (..., 3)."""
-    return _point_to_segment(np.zeros(3), a0 - b0, a1 - b1)
+    return point_distance(np.zeros(3), a0 - b0, a1 - b1)
 
 
 def segment_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
@@ -23,8 +23,8 @@ def segment_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
     It is taken either at an end of one of them, or at the feet of the common perpendicular of the two lines.
     """
     ends = np.minimum(
-        np.minimum(_point_to_segment(a0, b0, b1), _point_to_segment(a1, b0, b1)),
-        np.minimum(_point_to_segment(b0, a0, a1), _point_to_segment(b1, a0, a1)),
+        np.minimum(point_distance(a0, b0, b1), point_distance(a1, b0, b1)),
+        np.minimum(point_distance(b0, a0, a1), point_distance(b1, a0, a1)),
     )
     u, v, w = a1 - a0, b1 - b0, a0 - b0
     uu, uv, vv = _dot(u, u), _dot(u, v), _dot(v, v)
@@ -50,7 +50,8 @@ def _legs(path: Floats) -> Floats:
     return np.stack([closed[:-1], closed[1:]], axis=1)
 
 
-def _point_to_segment(point: Floats, start: Floats, end: Floats) -> Floats:
+def point_distance(point: Floats, start: Floats, end: Floats) -> Floats:
+    """Least distance [m] of a point to a segment; shapes (..., 3)."""
     along = end - start
     length2 = _dot(along, along)
     s = np.clip(_dot(point - start, along) / np.where(length2 > 0, length2, 1.0), 0.0, 1.0)
