@@ -26,6 +26,10 @@ BLUE, ORANGE, GREEN, VERMILLION, PURPLE, BLACK, GREY = (
 )
 
 
+#: Formats, and what is left out of each so that the same data give the same file.
+METADATA: dict[str, dict[str, None]] = {".png": {"Software": None}, ".svg": {"Date": None}}
+
+
 class Look(NamedTuple):
     """How a scheme is named and drawn: colour by placement; line and filling by power allocation."""
 
@@ -93,8 +97,14 @@ def figure_style() -> Iterator[None]:
 
 def save(figure: Figure, path: Path) -> list[Path]:
     """Write a figure as PNG and SVG beside each other and close it; return the two paths."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path.with_suffix(".png"), bbox_inches="tight", metadata={"Software": None})
-    figure.savefig(path.with_suffix(".svg"), bbox_inches="tight", metadata={"Date": None})
+    paths = [path.with_suffix(suffix) for suffix in METADATA]
+    for each in paths:
+        write(figure, each)
     plt.close(figure)
-    return [path.with_suffix(".png"), path.with_suffix(".svg")]
+    return paths
+
+
+def write(figure: Figure, path: Path) -> None:
+    """Write a figure as what its suffix says, `.png` or `.svg`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, bbox_inches="tight", metadata=METADATA[path.suffix])
