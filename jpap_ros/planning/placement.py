@@ -5,12 +5,15 @@ in s = |v - u_k|^2, and two bounds follow, whose sums over the devices are quadr
 directions, hence maximised in closed form:
 
 * its tangent in s at the present position is a lower bound, tight there (what the tau/beta bound (13) does for the
-  paper). Maximised over the feasible region again and again, it climbs to a local optimum (`_climb`);
+  paper). Maximised over the feasible region again and again, it climbs to a local optimum (`_Cell.climb`), from whose
+  curvature follows how far round it nothing is better (`_Cell.settled_radius`);
 * its chord in s over a box is an upper bound there, and the gap shrinks with the square of the box. Branch and bound
-  over boxes (`_improve`) therefore proves that nothing better than `RATE_TOLERANCE` is left, or finds it.
+  over the boxes farther off (`_Cell.improve`) therefore proves that nothing better than `RATE_TOLERANCE` is left, or
+  finds it.
 
-The paper's cases are the same code here: where d_sv < H the region is convex and the first bound decides quickly;
-where d_sv >= H the branch and bound is what its exhaustive search of the outer region stands for.
+The paper's cases are the same code here: where d_sv < H the rate is concave and the climb settles most of the region;
+where d_sv >= H the branch and bound is what its exhaustive search of the outer region stands for. Two devices, more
+than half of all cells at the paper's density, have their optimum in closed form (`_Cell.best_of_two`).
 
 The best position lies in the bounding box of the devices: moved to the nearest point of their convex hull, a UAV
 comes closer to every one of them.
@@ -39,6 +42,9 @@ MAX_STEPS = 60
 SMALL_BOX = 0.25
 #: Most circles whose constraint enters the bound of one box.
 MAX_MULTIPLIERS = 4
+
+#: West, east, south and north side [m].
+Box = tuple[float, float, float, float]
 
 
 def best_position(positions: ArrayLike, rates: ArrayLike, allocation: Allocation, link: LinkBudget) -> Floats | None:
@@ -130,10 +136,14 @@ class _Cell:
         self.height2 = height2
         self.step2 = STEP_TOLERANCE**2 * height2
         self.small_side = SMALL_BOX * math.sqrt(height2)
+        self.tolerance = RATE_TOLERANCE * math.log(2)
+        self.largest2 = max(squared_radii)
         self.devices = list(zip(xs, ys, strengths, squared_radii, strict=True))
 
     def best(self) -> tuple[float, float]:
         """The best position."""
+        if len(self.devices) == 2 and (place := self.best_of_two()) is not None:
+            return place
         return self.improve(*self.climb(*self.feasible))
 
     def nearest(self, x: float, y: float) -> tuple[float, float]:
@@ -155,12 +165,31 @@ class _Cell:
                 product = 1.0
         return total + math.log(product)
 
-    def climb(self, x: float, y: float) -> tuple[float, float, float]:
-        """The local optimum reached from (x, y), and a radius round it in which the rate is concave.
+    def best_of_two(self) -> tuple[float, float] | None:
+        """The best position of two devices in closed form; None at low SNR, where it is not good enough.
 
-        A local optimum of a concave function over a convex region is its optimum there: within that radius no
-        feasible position is better. 0 where the climb ended early or the rate is not concave at its end.
+        The rate of two devices is the sum of log(q_k + c_k) - log(q_k). Where c_k is so large that the first hardly
+        varies, the second decides, and the product q_1 q_2 is a quartic along the line of the two: least in its middle
+        where they are nearer than 2 H, else at two places as far from both ends. Of these, the one on the side of
+        the present position is the local optimum reached from there.
         """
+        (u1, _, c1, r1), (u2, _, c2, r2) = self.devices
+        west, east = max(u1, u2 - math.sqrt(r2)), min(u2, u1 + math.sqrt(r1))
+        span2, weakest = (u2 - u1) ** 2, min(c1, c2)
+        # Between the two, neither log(q_k + c_k) varies by more than span2 / c_k.
+        if west > east or 2 * span2 > self.tolerance / 4 * weakest:
+            return None
+        slack = 2 * span2 / weakest
+        middle, quarter = (u1 + u2) / 2, span2 / 4 - self.height2
+        off = math.sqrt(quarter) if quarter > 0 else 0.0
+        if self.feasible[0] > middle:
+            off = -off
+        here, there = min(max(middle - off, west), east), min(max(middle + off, west), east)
+        better = self.value(there, 0.0) > self.value(here, 0.0) + self.tolerance - slack
+        return there if better else here, 0.0
+
+    def climb(self, x: float, y: float) -> tuple[float, float, float]:
+        """The local optimum reached from (x, y), and its `settled_radius`; 0 where the climb ended early."""
         height2 = self.height2
         for _ in range(MAX_STEPS):
             weight = wx = wy = hxx = hxy = hyy = 0.0
@@ -177,27 +206,37 @@ class _Cell:
                 hyy += bend * dy * dy
             # Maximum of the tangent bound; its gradient is -2 (wx, wy), its curvature -2 weight.
             sx, sy = -wx / weight, -wy / weight
-            tx, ty = self.nearest(x + sx, y + sy)
+            feasible = nearest_common_point(x + sx, y + sy, self.xs, self.ys, self.squared_radii)
+            if feasible is None:
+                break
+            tx, ty = feasible
             if (tx, ty) == (x + sx, y + sy):
-                # Away from the circles: Newton's step, where the rate is concave and the step in proportion.
+                # Away from the circles: Newton's step, where the rate is concave and it leads higher.
                 a, b = weight - hxx, weight - hyy
                 det = a * b - hxy * hxy
                 if det > 0 and a > 0:
-                    nx, ny = -(b * wx + hxy * wy) / det, -(a * wy + hxy * wx) / det
-                    if nx * nx + ny * ny <= 9 * (sx * sx + sy * sy) and self.covers(x + nx, y + ny):
-                        tx, ty = x + nx, y + ny
+                    nx, ny = x - (b * wx + hxy * wy) / det, y - (a * wy + hxy * wx) / det
+                    if self.covers(nx, ny) and self.value(nx, ny) >= self.value(tx, ty):
+                        tx, ty = nx, ny
             step2 = (tx - x) ** 2 + (ty - y) ** 2
             x, y = tx, ty
             if step2 <= self.step2:
                 mean, half = weight - (hxx + hyy) / 2, (hxx - hyy) / 2
-                return x, y, self.concave_radius(x, y, 2 * (mean - math.sqrt(half * half + hxy * hxy)))
+                curvature = 2 * (mean - math.sqrt(half * half + hxy * hxy))
+                # There, (sx, sy) is the sum of m_k (v - u_k) over the circles on which v lies, with m_k >= 0. The
+                # multipliers of the Lagrange function are weight m_k and add twice their sum to its curvature; as no
+                # |v - u_k| exceeds the largest radius, the sum of m_k is at least |(sx, sy)| over that radius.
+                if self.largest2 > 0:
+                    curvature += 2 * weight * math.sqrt((sx * sx + sy * sy) / self.largest2)
+                return x, y, self.settled_radius(x, y, curvature)
         return x, y, 0.0
 
-    def concave_radius(self, x: float, y: float, curvature: float) -> float:
-        """A radius round (x, y) in which the rate is concave, where its Hessian is at most -curvature at (x, y).
+    def settled_radius(self, x: float, y: float, curvature: float) -> float:
+        """A radius round a local optimum in which no feasible position is better by more than the tolerance.
 
-        The third derivative of log(|v - u|^2 + h^2) in any direction is at most 4 / (|v - u|^2 + h^2)^1.5; the largest
-        eigenvalue of the Hessian grows by no more than the sum of these with the distance.
+        `curvature` is the least one, in any direction, with which the Lagrange function falls off there. The third
+        derivative of log(|v - u|^2 + h^2) in any direction is at most 4 / (|v - u|^2 + h^2)^1.5, and their sum G bounds
+        that of the rate. At a distance d the rate is therefore larger by at most G d^3 / 6 - curvature d^2 / 2.
         """
         height2 = self.height2
         radius = math.sqrt(height2)
@@ -207,30 +246,23 @@ class _Cell:
                 apart = math.sqrt((x - u) ** 2 + (y - v) ** 2) - radius
                 q = apart * apart + height2 if apart > 0 else height2
                 growth += 4 / (q * math.sqrt(q)) + 4 / ((q + c) * math.sqrt(q + c))
-            if radius * growth <= 0.999 * curvature:
+            if radius * radius * (radius * growth / 3 - curvature) <= 2 * self.tolerance:
                 return radius
             radius *= 0.7
         return 0.0
 
     def improve(self, x: float, y: float, radius: float) -> tuple[float, float]:
         """Branch and bound: a position to which none is better by more than the tolerance."""
-        tolerance = RATE_TOLERANCE * math.log(2)
-        target = self.value(x, y) + tolerance
+        target = self.value(x, y) + self.tolerance
         cx, cy, settled2 = x, y, radius * radius
         roots = [math.sqrt(r2) for r2 in self.squared_radii]
         west = max(min(self.xs), max(u - r for u, r in zip(self.xs, roots, strict=True)))
         east = min(max(self.xs), min(u + r for u, r in zip(self.xs, roots, strict=True)))
-        if len(self.devices) == 2 and (pair := self.best_of_two(west, east)) is not None:
-            px, bound = pair
-            if bound <= target:
-                return x, y
-            if self.covers(px, 0.0):
-                # Newton's steps may lead astray.
-                return max((px, 0.0), self.climb(px, 0.0)[:2], key=lambda place: self.value(*place))
         south = max(min(self.ys), max(v - r for v, r in zip(self.ys, roots, strict=True)))
         north = min(max(self.ys), min(v + r for v, r in zip(self.ys, roots, strict=True)))
         boxes: list[tuple[float, float, float, float, float, float, float]] = []
-        fresh = [(west, east, south, north)]
+        # Cut out at once, what is settled leaves larger boxes than halving does that closes in on it.
+        fresh = _cut_out((west, east, south, north), x, y, radius * math.sqrt(0.5))
         while True:
             for box in fresh:
                 west, east, south, north = box
@@ -248,41 +280,17 @@ class _Cell:
             # A position is tried where it may lift the target above the bound, or where the box is so small that the
             # bound is near what its positions give. Without the second, a box better than the target by far would be
             # split for ever.
-            if -bound - target <= tolerance or max(east - west, north - south) <= self.small_side:
+            if -bound - target <= self.tolerance or max(east - west, north - south) <= self.small_side:
                 px, py = self.nearest(px, py)
-                found = self.value(px, py)
-                if found > target:
+                if self.value(px, py) > target:
                     x, y, _ = self.climb(px, py)
-                    value = self.value(x, y)
-                    if value < found:  # Newton's steps may lead astray.
-                        x, y, value = px, py, found
-                    target = value + tolerance
+                    target = self.value(x, y) + self.tolerance
             if east - west >= north - south:
                 middle = (west + east) / 2
                 fresh = [(west, middle, south, north), (middle, east, south, north)]
             else:
                 middle = (south + north) / 2
                 fresh = [(west, east, south, middle), (west, east, middle, north)]
-
-    def best_of_two(self, west: float, east: float) -> tuple[float, float] | None:
-        """The best position between two devices, and a bound on every rate there [nat/s/Hz]; None at low SNR.
-
-        The rate of two devices is the sum of log(q_k + c_k) - log(q_k). Where c_k is so large that the first hardly
-        varies, the second decides, and the product q_1 q_2 is a quartic along the line of the two: least in its middle
-        where they are nearer than 2 H, else at two places as far from both ends.
-        """
-        (u1, _, c1, _), (u2, _, c2, _) = self.devices
-        height2 = self.height2
-        span2 = (east - west) ** 2 + (u2 - u1) ** 2
-        # By how much log(q_1 + c_1) + log(q_2 + c_2) can vary over the feasible interval.
-        slack = span2 / c1 + span2 / c2
-        if slack > RATE_TOLERANCE / 8:
-            return None
-        middle, quarter = (u1 + u2) / 2, (u2 - u1) ** 2 / 4 - height2
-        off = math.sqrt(quarter) if quarter > 0 else 0.0
-        places = (min(max(middle - off, west), east), min(max(middle + off, west), east))
-        best, value = max(((place, self.value(place, 0.0)) for place in places), key=lambda pair: pair[1])
-        return best, value + slack
 
     def bound(self, west: float, east: float, south: float, north: float, target: float) -> tuple[float, float, float]:
         """Upper bound of the sum rate in a box [nat/s/Hz], and the point of the box that attains the bound.
@@ -342,3 +350,21 @@ class _Cell:
             x, y = wu + (x - wu) / ratio, wv + (y - wv) / ratio
             weight *= ratio
         return bound, px, py
+
+
+def _cut_out(box: Box, x: float, y: float, half: float) -> list[Box]:
+    """What is left of a box without the square of half a side `half` round (x, y), in at most four boxes."""
+    if half == 0:
+        return [box]
+    west, east, south, north = box
+    left, right = max(x - half, west), min(x + half, east)
+    rest = []
+    if west < left:
+        rest.append((west, left, south, north))
+    if right < east:
+        rest.append((right, east, south, north))
+    if south < y - half:
+        rest.append((left, right, south, y - half))
+    if y + half < north:
+        rest.append((left, right, y + half, north))
+    return rest
