@@ -139,7 +139,7 @@ class World:
         self.fleet = {
             f"uav{i + 1}": Craft(f"uav{i + 1}", pad, (*pad, 0.0), rng.uniform(0.6, 1.0)) for i, pad in enumerate(pads)
         }
-        self.traffic = TrafficControl(LIMITS, patience_s=None)
+        self.traffic = TrafficControl(LIMITS, waits_for_plans=True)
         self.life = FleetLife(FleetPolicy(arrival_radius_m=2.0, station_above_m=LIMITS.planned_separation_m))
         self.plan: FleetPlan | None = None
         self.roster: Roster | None = None

@@ -84,7 +84,7 @@ class World:
 
 @pytest.fixture
 def control() -> Iterator[TrafficControl]:
-    made = TrafficControl(LIMITS, patience_s=None)
+    made = TrafficControl(LIMITS, waits_for_plans=True)
     yield made
     made.close()
 
@@ -154,7 +154,7 @@ def test_an_aircraft_whose_goal_is_taken_away_stops_on_its_way(control: TrafficC
 
 def test_those_held_in_a_convoy_do_not_stop_the_others() -> None:
     # b waits for a goal above which somebody stands; a and b cross, and so share a convoy.
-    control = TrafficControl(QUICK)
+    control = TrafficControl(QUICK, waits_for_plans=True)
     try:
         world = World(control, {"a": (0.0, 0.0, 50.0), "b": (40.0, 40.0, 50.0), "c": (80.0, 0.0, 50.0)})
         world.goals = {"a": (40.0, 80.0, 50.0), "b": (80.0, 0.0, 50.0), "c": None}
@@ -190,7 +190,7 @@ GRID = [(40.0 * i, 40.0 * j, 50.0) for i in range(5) for j in range(5)]
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_nobody_comes_close_whatever_changes_when(data: st.DataObject) -> None:
-    control = TrafficControl(QUICK, patience_s=None)
+    control = TrafficControl(QUICK, waits_for_plans=True)
     try:
         count = data.draw(st.integers(2, 7))
         names = [f"u{i}" for i in range(count)]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -27,11 +29,11 @@ class TimeLaw:
     acceleration: float
     initial_speed: float = 0.0
 
-    @property
+    @cached_property
     def _phases(self) -> tuple[float, float, float]:
         """Greatest ds/dt reached, duration of speeding up, duration of the cruise."""
         a, v0 = self.acceleration, self.initial_speed
-        peak = max(v0, min(self.speed, float(np.sqrt(a + v0**2 / 2))))
+        peak = max(v0, min(self.speed, math.sqrt(a + v0**2 / 2)))
         cruise = max(1.0 - (2 * peak**2 - v0**2) / (2 * a), 0.0) / peak
         return peak, (peak - v0) / a, cruise
 
@@ -60,7 +62,7 @@ class TimeLaw:
         s, speed = self.at(time_s)
         left = max(1.0 - s, 1e-12)
         acceleration = self.acceleration / left
-        initial = min(speed / left, float(np.sqrt(2 * acceleration)))
+        initial = min(speed / left, math.sqrt(2 * acceleration))
         return s, TimeLaw(self.speed / left, acceleration, initial)
 
     def braking(self, time_s: float) -> tuple[float, float, TimeLaw | None]:

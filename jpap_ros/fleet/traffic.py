@@ -2,13 +2,14 @@
 
 The engine of `transit`, run over time. Aircraft that hover at their setpoint rest; those on the way belong to
 convoys, each with a clock of its own. Whenever goals, aircraft or obstacles change, those concerned stop, and a new
-transition is planned and checked from where they rest, before its first setpoint leaves. All others fly on.
+transition is planned and checked from where they rest, before its first setpoint leaves. All others fly on. Whoever can
+fly straight, clear of everybody, begins at once; the rest is planned behind, in a worker.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
 
@@ -16,8 +17,9 @@ import numpy as np
 
 from jpap_ros.fleet.arrays import Floats
 from jpap_ros.fleet.separation_check import polyline_distance
+from jpap_ros.fleet.transit import is_clear, straight_convoys
 from jpap_ros.fleet.transit_plan import Convoy, Obstacle, TransitLimits, TransitPlan
-from jpap_ros.fleet.transit_worker import TransitWorker
+from jpap_ros.fleet.transit_worker import SMALL_FLEET, TransitWorker
 
 Vector = tuple[float, float, float]
 
@@ -25,8 +27,6 @@ Vector = tuple[float, float, float]
 SAME_PLACE_M = 1e-3
 #: After so long, a way is looked for again for those that were held [s].
 RETRY_S = 1.0
-#: Usual patience of a step [s].
-SHORT_WAIT_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Setpoint:
     velocity: Vector = (0.0, 0.0, 0.0)
 
 
-@dataclass
+@dataclass(eq=False)
 class _Flight:
     """A convoy under way."""
 
@@ -86,19 +86,22 @@ class _Flight:
     def rest(self, now: float) -> Convoy:
         return self.convoy.rest(now - self.started)
 
+    def place(self, name: str, now: float) -> tuple[Vector, Vector]:
+        """Where a member should be [m], and its velocity [m/s]."""
+        return self.convoy.place(self.convoy.names.index(name), now - self.started)
+
     def brake(self, now: float) -> None:
-        if not self.braking:
-            self.convoy, self.started, self.braking = self.convoy.stop(now - self.started), now, True
+        self.convoy, self.started, self.braking = self.convoy.stop(now - self.started), now, True
 
 
 @dataclass(frozen=True)
 class _Request:
-    """What a transition was asked for; its answer counts only while this still holds."""
+    """What a transition was planned for."""
 
     goals: Mapping[str, Vector]
     resting: Mapping[str, Vector]
     obstacles: tuple[Obstacle, ...]
-    flights: tuple[int, ...]
+    flights: tuple[_Flight, ...]
 
 
 class TrafficControl:
@@ -110,14 +113,17 @@ class TrafficControl:
         May be replaced at any time; transitions under way go on as they were planned.
     obstacle_radius_m : float
         How far an aircraft that does not obey may get from where it is while others react [m].
-    patience_s : float or None
-        How long a step waits for the worker, so that a small fleet's transition begins at once; None: until it is
-        done, as a simulation faster than time needs it [s].
+    on_plan : callable
+        Called from another thread when the worker has an answer: time for the next step.
+    waits_for_plans : bool
+        Whether a step lasts until the worker has answered, as a simulation faster than time needs it.
 
     Notes
     -----
-    Not thread-safe: one thread calls `step` and `setpoint`. Transitions are planned in a worker, because that of a
-    large fleet takes longer than setpoints may wait; meanwhile everybody goes on as before.
+    Not thread-safe: one thread calls `step` and `setpoint`. Straight flights are planned in the step itself. Finding
+    a way round others takes longer than setpoints may wait, so a worker does it; meanwhile everybody goes on as
+    before. What has changed until it answers is compared with each convoy of its plan, and only those that are clear
+    of it begin.
 
     A convoy keeps apart only as long as each of its members follows. So when one drops out or lies farther from its
     setpoint than the transition allows for (`TransitLimits.tracking_error_m`), or when an obstacle comes near the way
@@ -125,37 +131,55 @@ class TrafficControl:
     """
 
     def __init__(
-        self, limits: TransitLimits, obstacle_radius_m: float = 5.0, patience_s: float | None = SHORT_WAIT_S
+        self,
+        limits: TransitLimits,
+        obstacle_radius_m: float = 5.0,
+        on_plan: Callable[[], None] = lambda: None,
+        waits_for_plans: bool = False,
     ) -> None:
         self.limits = limits
         self._obstacle_radius_m = obstacle_radius_m
-        self._patience_s = patience_s
+        self._on_plan = on_plan
+        self._waits_for_plans = waits_for_plans
         self._resting: dict[str, Vector] = {}
         self._flights: list[_Flight] = []
         self._aboard: dict[str, _Flight] = {}
+        self._turned: set[str] = set()
+        self._columns: dict[str, Obstacle] = {}
+        self._released: set[str] = set()
         self._held: dict[str, str] = {}
         self._fleet: Mapping[str, Traveller] = {}
         self._tried: _Request | None = None
         self._tried_at = -math.inf
         self._asked: tuple[_Request, Future[TransitPlan]] | None = None
+        #: Whether somebody waits for the worker to be free.
+        self._unasked = False
         self._worker = TransitWorker()
 
     def close(self) -> None:
         """End the worker."""
         self._worker.close()
 
-    def step(self, now: float, fleet: Mapping[str, Traveller]) -> None:
-        """Take in where everybody is and wants to go; to be called several times a second, and at once on a change."""
+    def step(self, now: float, fleet: Mapping[str, Traveller]) -> set[str]:
+        """Take in where everybody is and wants to go; to be called several times a second, and at once on a change.
+
+        Returns
+        -------
+        set of str
+            Aircraft that begin to move, or to stop, in this step.
+        """
         self._fleet = fleet
+        self._turned = set()
+        self._open_columns()
         self._land(now)
         self._dismiss(now)
         self._admit()
         obstacles = self._obstacles()
         self._brake(now, obstacles)
-        self._adopt(now)
-        self._ask(now, obstacles)
-        self._adopt(now)
+        self._adopt(now, obstacles)
+        self._plan(now, obstacles)
         self._aboard = {name: flight for flight in self._flights for name in flight.convoy.names}
+        return self._turned
 
     def setpoint(self, name: str, now: float) -> Setpoint | None:
         """Where an aircraft should be now; None if it is not under control."""
@@ -163,16 +187,66 @@ class TrafficControl:
             return Setpoint(self._resting[name])
         if name not in self._aboard:
             return None
-        flight = self._aboard[name]
-        index = flight.convoy.names.index(name)
-        positions, velocities = flight.convoy.at(now - flight.started)
-        return Setpoint(_vector(positions[index]), _vector(velocities[index]))
+        return Setpoint(*self._aboard[name].place(name, now))
 
     def held(self, name: str) -> str:
         """Why an aircraft is not on its way to its goal; empty if it is, or is there."""
         return self._held.get(name, "")
 
+    @property
+    def columns(self) -> Mapping[str, Obstacle]:
+        """Columns of air that are closed for one aircraft each, by its name."""
+        return self._columns
+
+    def rests_at(self, name: str) -> Vector | None:
+        """Where an aircraft under control hovers; None if it is on its way, or not under control."""
+        return self._resting.get(name)
+
+    def claim(self, name: str, top: Vector, bottom_m: float, now: float) -> str:
+        """Close a column of air to all others, for an aircraft that is about to climb or to land in it by itself.
+
+        It gets no setpoints until `release`. One that flies already may stay as near to another as it is now.
+
+        Returns
+        -------
+        str
+            Who is too near to the column, or the aircraft itself while it moves; empty if the column is closed.
+        """
+        column = Obstacle(name, top, bottom_m)
+        other = name if name in self._aboard else self._beside(column, now)
+        if not other:
+            self._resting.pop(name, None)
+            self._released.discard(name)
+            self._columns[name] = column
+        return other
+
+    def release(self, name: str) -> None:
+        """Open an aircraft's column again, as soon as the next step shows what became of it."""
+        self._released.add(name)
+
+    def _beside(self, column: Obstacle, now: float) -> str:
+        """Who is too near to a column, with all of the path that is left to those on their way; empty if nobody."""
+        traveller = self._fleet.get(column.name)
+        here = column.column[1:] if traveller is not None and traveller.flies else None
+        lines = [(other, np.array([place]), 0.0) for other, place in self._resting.items()]
+        for flight in self._flights:
+            paths = np.swapaxes(flight.rest(now).waypoints, 0, 1)
+            lines += [(other, path, 0.0) for other, path in zip(flight.convoy.names, paths, strict=True)]
+        lines += [(obstacle.name, obstacle.column, obstacle.radius_m) for obstacle in self._obstacles()]
+        for other, line, radius_m in lines:
+            wanted = self.limits.planned_separation_m + radius_m
+            if here is not None:
+                wanted = min(wanted, polyline_distance(here, line))
+            if other != column.name and polyline_distance(column.column, line) < wanted - SAME_PLACE_M:
+                return other
+        return ""
+
     # One step, part by part
+
+    def _open_columns(self) -> None:
+        for name in self._released:
+            self._columns.pop(name, None)
+        self._released.clear()
 
     def _land(self, now: float) -> None:
         """Those whose convoy is at its end rest there."""
@@ -189,21 +263,25 @@ class TrafficControl:
         for flight in list(self._flights):
             gone = [name for name in flight.convoy.names if not self._obeys(name)]
             if gone:
-                flight.brake(now)
+                self._stop(flight, now)
                 flight.convoy = _without(flight.convoy, gone)
                 if not flight.convoy.names:
                     self._flights.remove(flight)
             elif any(self._strays(name, flight) for name in flight.convoy.names):
-                flight.brake(now)
+                self._stop(flight, now)
+
+    def _stop(self, flight: _Flight, now: float) -> None:
+        if not flight.braking:
+            flight.brake(now)
+            self._turned.update(flight.convoy.names)
 
     def _strays(self, name: str, flight: _Flight) -> bool:
         traveller = self._fleet[name]
         # Compared with where it should have been when it said where it is; from before the start that means nothing.
         if traveller.position is None or traveller.heard_at <= flight.started:
             return False
-        positions, _ = flight.convoy.at(traveller.heard_at - flight.started)
-        wanted = positions[flight.convoy.names.index(name)]
-        return math.dist(traveller.position, _vector(wanted)) > self.limits.tracking_error_m
+        wanted, _ = flight.place(name, traveller.heard_at)
+        return math.dist(traveller.position, wanted) > self.limits.tracking_error_m
 
     def _obeys(self, name: str) -> bool:
         return name in self._fleet and self._fleet[name].obeys
@@ -212,15 +290,26 @@ class TrafficControl:
         """Whoever obeys from now on rests where it is."""
         flying = {name for flight in self._flights for name in flight.convoy.names}
         for name, traveller in self._fleet.items():
-            if traveller.obeys and traveller.position is not None and name not in self._resting and name not in flying:
+            taken = name in self._resting or name in flying or name in self._columns
+            if traveller.obeys and traveller.position is not None and not taken:
                 self._resting[name] = traveller.position
+        if len(self._resting) > SMALL_FLEET:
+            self._worker.prepare()
 
     def _obstacles(self) -> tuple[Obstacle, ...]:
-        return tuple(
+        strangers = (
             Obstacle(name, _coarse(traveller.position), radius_m=self._obstacle_radius_m)
             for name, traveller in self._fleet.items()
-            if traveller.flies and not traveller.obeys and traveller.position is not None
+            if traveller.flies
+            and not traveller.obeys
+            and traveller.position is not None
+            and not self._keeps_to_its_column(name, traveller.position)
         )
+        return *self._columns.values(), *strangers
+
+    def _keeps_to_its_column(self, name: str, position: Vector) -> bool:
+        column = self._columns.get(name)
+        return column is not None and math.dist(position[:2], column.position[:2]) <= self._obstacle_radius_m
 
     def _brake(self, now: float, obstacles: tuple[Obstacle, ...]) -> None:
         """Stop the convoys of which a member's goal has changed, or in whose way an obstacle is."""
@@ -229,7 +318,7 @@ class TrafficControl:
                 continue
             changed = any(self._changed(name, flight.wanted[name]) for name in flight.convoy.names)
             if changed or self._blocked(flight, now, obstacles):
-                flight.brake(now)
+                self._stop(flight, now)
 
     def _changed(self, name: str, wanted: Vector | None) -> bool:
         """Whether an aircraft wants something else than what its way was planned for; without a goal it stops."""
@@ -255,49 +344,66 @@ class TrafficControl:
         goal = self._fleet[name].goal
         return _vector(otherwise) if goal is None else goal
 
-    def _ask(self, now: float, obstacles: tuple[Obstacle, ...]) -> None:
-        """Have a transition planned for those who rest elsewhere than at their goals."""
-        goals = {name: self._goal(name, place) for name, place in self._resting.items()}
-        goals = {name: goal for name, goal in goals.items() if not _same(goal, self._resting[name])}
+    def _plan(self, now: float, obstacles: tuple[Obstacle, ...]) -> None:
+        """Begin the straight flights of those who rest elsewhere than at their goals; ask the worker for the others."""
+        goals = self._unreached()
         for name in [name for name in self._held if name not in goals]:
             del self._held[name]
-        if not goals or self._asked is not None:
+        request = self._request(goals, obstacles)
+        if not goals or (request == self._tried and now - self._tried_at < RETRY_S):
             return
-        request = _Request(goals, dict(self._resting), obstacles, self._under_way())
-        if request == self._tried and now - self._tried_at < RETRY_S:
-            return
-        self._tried, self._tried_at = request, now
         committed = [flight.rest(now) for flight in self._flights]
-        future = self._worker.submit(request.resting, goals, self.limits, obstacles, committed)
-        self._asked = request, future
-        wait([future], self._patience_s)
+        self._begin(now, straight_convoys(request.resting, goals, self.limits, obstacles, committed))
+        goals = self._unreached()
+        self._tried, self._tried_at = self._request(goals, obstacles), now
+        self._unasked = bool(goals) and self._asked is not None
+        if not goals or self._unasked:
+            return
+        committed = [flight.rest(now) for flight in self._flights]
+        future = self._worker.submit(self._tried.resting, goals, self.limits, obstacles, committed)
+        self._asked = self._tried, future
+        future.add_done_callback(lambda _: self._on_plan())
+        if self._waits_for_plans:
+            wait([future])
+            self._adopt(now, obstacles)
 
-    def _under_way(self) -> tuple[int, ...]:
-        """What names the flights that a plan has to keep clear of; a brake only shortens their paths."""
-        return tuple(sorted(hash(flight.convoy.names) for flight in self._flights))
+    def _unreached(self) -> dict[str, Vector]:
+        """Goals of those who rest elsewhere."""
+        goals = {name: self._goal(name, place) for name, place in self._resting.items()}
+        return {name: goal for name, goal in goals.items() if not _same(goal, self._resting[name])}
 
-    def _adopt(self, now: float) -> None:
-        """Begin the transition that was asked for, if nothing has changed that it was planned for."""
+    def _request(self, goals: Mapping[str, Vector], obstacles: tuple[Obstacle, ...]) -> _Request:
+        return _Request(goals, dict(self._resting), obstacles, tuple(self._flights))
+
+    def _adopt(self, now: float, obstacles: tuple[Obstacle, ...]) -> None:
+        """Begin what the worker has planned, as far as it still fits."""
         if self._asked is None or not self._asked[1].done():
             return
         (request, future), self._asked = self._asked, None
-        goals = {name: self._goal(name, place) for name, place in self._resting.items()}
-        unchanged = (
-            request.resting == self._resting
-            and all(_same(request.goals.get(name, self._resting[name]), goal) for name, goal in goals.items())
-            and request.obstacles == self._obstacles()
-            and set(self._under_way()) <= set(request.flights)
-        )
-        if not unchanged:
-            return
+        if self._unasked:
+            self._tried = None
         plan = future.result()
-        known = {flight.convoy.names for flight in self._flights}
-        self._held = dict(plan.held)
-        for convoy in plan.convoys:
-            if convoy.names in known or not set(convoy.names) <= self._resting.keys() or convoy.duration_s == 0.0:
-                continue
+        same = {
+            name
+            for name, place in self._resting.items()
+            if request.resting.get(name) == place and _same(request.goals.get(name, place), self._goal(name, place))
+        }
+        self._held.update({name: why for name, why in plan.held.items() if name in same})
+        newly_resting = {name: place for name, place in self._resting.items() if request.resting.get(name) != place}
+        new_obstacles = [obstacle for obstacle in obstacles if obstacle not in request.obstacles]
+        under_way = [flight.rest(now) for flight in self._flights if flight not in request.flights]
+        convoys = [convoy for convoy in plan.convoys if convoy.duration_s > 0 and same.issuperset(convoy.names)]
+        if newly_resting or new_obstacles or under_way:
+            convoys = [
+                convoy for convoy in convoys if is_clear(convoy, newly_resting, self.limits, new_obstacles, under_way)
+            ]
+        self._begin(now, convoys)
+
+    def _begin(self, now: float, convoys: Iterable[Convoy]) -> None:
+        for convoy in convoys:
             wanted = {name: self._fleet[name].goal for name in convoy.names}
             self._flights.append(_Flight(convoy, now, wanted))
+            self._turned.update(convoy.names)
             for name in convoy.names:
                 del self._resting[name]
 

@@ -13,6 +13,8 @@ from jpap_ros.fleet.arrays import Floats
 from jpap_ros.fleet.separation_check import polyline_distance, synchronous_distance
 from jpap_ros.fleet.time_law import TimeLaw
 
+Vector = tuple[float, float, float]
+
 
 @dataclass(frozen=True)
 class TransitLimits:
@@ -118,7 +120,7 @@ class Convoy:
     waypoints: Floats
     laws: tuple[TimeLaw, ...]
 
-    @property
+    @cached_property
     def duration_s(self) -> float:
         """Time until all of them are at their last waypoint [s]."""
         return sum(law.duration_s for law in self.laws)
@@ -131,6 +133,18 @@ class Convoy:
         s, speed = self.laws[leg].at(elapsed)
         along = self.waypoints[leg + 1] - self.waypoints[leg]
         return self.waypoints[leg] + s * along, speed * along
+
+    def place(self, index: int, time_s: float) -> tuple[Vector, Vector]:
+        """Position [m] and velocity [m/s] of one aircraft."""
+        leg, elapsed = self._leg(time_s)
+        if leg is None:
+            east, north, up = self.waypoints[-1, index].tolist()
+            return (east, north, up), (0.0, 0.0, 0.0)
+        s, speed = self.laws[leg].at(elapsed)
+        (e0, n0, u0), (e1, n1, u1) = self.waypoints[leg : leg + 2, index].tolist()
+        along = e1 - e0, n1 - n0, u1 - u0
+        velocity = speed * along[0], speed * along[1], speed * along[2]
+        return (e0 + s * along[0], n0 + s * along[1], u0 + s * along[2]), velocity
 
     def rest(self, time_s: float) -> Convoy:
         """Return what is left of the flight after a time."""

@@ -26,11 +26,18 @@ _NICENESS = 5
 
 
 class TransitWorker:
-    """Answers `plan_transit` one request at a time; the process starts with the first that needs it."""
+    """Answers `plan_transit` one request at a time; the process starts with `prepare`, or the first that needs it."""
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="traffic")
         self._process: subprocess.Popen[bytes] | None = None
+        self._prepared = False
+
+    def prepare(self) -> None:
+        """Start the process, which takes a second, before it is needed."""
+        if not self._prepared:
+            self._prepared = True
+            self._thread.submit(self._ask, pickle.dumps(({}, {}, TransitLimits())))
 
     def submit(
         self,
