@@ -69,6 +69,21 @@ class ProcedureFailed(Exception):
     """A procedure ended without success; the message says why."""
 
 
+@dataclass(eq=False)
+class _Running:
+    """A procedure under way, and who waits for its outcome."""
+
+    procedure: Procedure
+    name: str
+    waiting: list[Done]
+    answer: str = ""
+
+    def end(self, success: bool, message: str) -> None:
+        waiting, self.waiting = self.waiting, []
+        for done in waiting:
+            done(success, message)
+
+
 @dataclass(frozen=True)
 class AircraftSettings:
     """How aircraft are flown; the same for the whole fleet.
@@ -151,13 +166,15 @@ class Aircraft:
         #: Where traffic control wants it now; None: it has no part in it. And why it has to wait there.
         self.setpoint: Setpoint | None = None
         self.way_closed = ""
+        #: Place above its home where it waits to land, while an operator's order takes it there.
+        self.way_home: tuple[float, float, float] | None = None
         #: Whether it flies nowhere but where traffic control wants it.
         self.under_traffic_control = False
         self._frame = frame
         self._send = send
         self._deadman = deadman
         self._streams = StreamRequests(self.commands, send, (config.sysid, AUTOPILOT_COMPONENT), rates_hz)
-        self._procedure: tuple[Procedure, Done] | None = None
+        self._running: _Running | None = None
         self._goal: Goal | None = None
         self._goal_target: Target | None = None
         self._goal_refused = ""
@@ -204,12 +221,33 @@ class Aircraft:
         self._no_goal_because = "" if refused else reason
         self.life.distance_m = math.nan
 
+    @property
+    def home_m(self) -> tuple[float, float, float] | None:
+        """Its home in the map frame, on the ground, in the goal's altitude datum [m]; None: unknown."""
+        home = self.vehicle.home
+        if home is None:
+            return None
+        try:
+            east_m, north_m = self._frame.to_map(home.latitude, home.longitude)
+        except ValueError:
+            return None
+        relative = self.datum is AltitudeDatum.RELATIVE
+        return east_m, north_m, 0.0 if relative else home.amsl_m - self._frame.origin.altitude_amsl_m
+
+    @property
+    def pad_m(self) -> tuple[float, float, float] | None:
+        """Where it stands on the ground, as `home_m`; None: unknown, or it does not stand there."""
+        home, here = self.home_m, self.enu_m
+        if home is None or here is None or not self.vehicle.on_ground:
+            return None
+        return here[0], here[1], home[2]
+
     def traveller(self) -> Traveller:
         """How traffic control should see it now."""
         in_hand = self.streaming and self.goals_open and self._can_send() and self.vehicle.in_air
         flies = self.vehicle.in_air or not self.vehicle.on_ground
-        goal = None
-        if self._goal is not None and self._obstacle() is None:
+        goal = self.way_home
+        if goal is None and self._goal is not None and self._obstacle() is None:
             goal = (self._goal.east_m, self._goal.north_m, self._goal.up_m)
         position = self.vehicle.position
         heard_at = -math.inf if position is None else position.received_at
@@ -218,17 +256,32 @@ class Aircraft:
     # --- what an operator wants
 
     def run(self, procedure: Procedure, done: Done, name: str) -> None:
-        """Begin a procedure; one under way ends as superseded."""
+        """Begin a procedure; another one under way ends as superseded."""
         self.stop_procedure(f"superseded by {name}")
-        self._procedure = procedure, done
+        self._running = _Running(procedure, name, [done])
+
+    def join(self, done: Done, name: str) -> bool:
+        """Wait for the procedure of this name too, if it is under way: to begin anew would lose its turn."""
+        running = self._running
+        if running is None or running.name != name:
+            return False
+        running.waiting.append(done)
+        if running.answer:
+            running.end(True, running.answer)
+        return True
+
+    def answer(self, message: str) -> None:
+        """Of a procedure: tell those who wait that it succeeds; what is left to do goes on."""
+        if self._running is not None:
+            self._running.answer = message
+            self._running.end(True, message)
 
     def stop_procedure(self, reason: str) -> None:
         """End the procedure under way, if any, without success."""
-        if self._procedure is None:
-            return
-        (procedure, done), self._procedure = self._procedure, None
-        procedure.close()
-        done(False, reason)
+        running, self._running = self._running, None
+        if running is not None:
+            running.procedure.close()
+            running.end(False, reason)
 
     def part(self, now: float) -> None:
         """The bridge stops: tell the autopilot what it must know."""
@@ -340,23 +393,23 @@ class Aircraft:
         if was is LinkState.CONNECTED and self.vehicle.link is LinkState.LOST:
             self.commands.cancel("link lost")
         self.commands.tick(now)
-        if self._procedure is not None:
-            self._step(*self._procedure)
+        if self._running is not None:
+            self._step(self._running)
         if self.autopilot is not None and self.vehicle.link is LinkState.CONNECTED and not self.duplicates:
             position = self.vehicle.position
             position_at = -math.inf if position is None else position.received_at
             self._streams.tick(now, self.vehicle.home is not None, position_at)
         self._fly()
 
-    def _step(self, procedure: Procedure, done: Done) -> None:
+    def _step(self, running: _Running) -> None:
         try:
-            next(procedure)
+            next(running.procedure)
         except StopIteration as end:
-            self._procedure = None
-            done(True, end.value)
+            self._running = None
+            running.end(True, end.value)
         except ProcedureFailed as failure:
-            self._procedure = None
-            done(False, str(failure))
+            self._running = None
+            running.end(False, str(failure))
 
     def _fly(self) -> None:
         obstacle = self._obstacle()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from enum import Enum
@@ -14,11 +15,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from jpap_ros.fleet.config import FleetConfig, LinkConfig
+from jpap_ros.fleet.config import FleetConfig, LinkConfig, LinkUrl
+from jpap_ros.fleet.tower import Tower, Turn
 from jpap_ros.fleet.traffic import TrafficControl
 from jpap_ros.fleet.transit_plan import TransitLimits
 from jpap_ros.mavlink import procedures
-from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings, Procedure
+from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings, Done, Procedure
 from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_links import open_links
 from jpap_ros.mavlink.geodesy import LocalFrame
@@ -113,6 +115,8 @@ class FleetController:
     on_snapshot : callable, optional
     on_failure : callable, optional
         Called on the I/O thread as its last act if it fails; see `failure`.
+    on_frame : callable, optional
+        Called on the I/O thread with the url and the bytes of every frame of any link; must return at once.
 
     Raises
     ------
@@ -133,6 +137,7 @@ class FleetController:
         settings: ControllerSettings,
         on_snapshot: Callable[[AircraftSnapshot], None] = lambda snapshot: None,
         on_failure: Callable[[], None] = lambda: None,
+        on_frame: Callable[[LinkUrl, bytes | bytearray], None] | None = None,
     ) -> None:
         for uav in config.uavs:
             if uav.sysid == settings.sysid:
@@ -140,7 +145,7 @@ class FleetController:
         self._settings = settings
         self._on_snapshot = on_snapshot
         self._on_failure = on_failure
-        self._hub = LinkHub(settings.sysid)
+        self._hub = LinkHub(settings.sysid, on_frame=on_frame)
         self._deadman = PlanDeadman(settings.plan_timeout_s)
         self._calls: deque[Callable[[float], None]] = deque()
         self._stopping = threading.Event()
@@ -185,6 +190,7 @@ class FleetController:
         self._traffic = TrafficControl(settings.traffic) if settings.traffic and streams else None
         for member in self._members.values():
             member.aircraft.under_traffic_control = self._traffic is not None
+        self._tower = None if self._traffic is None else _tower(self._traffic, settings.aircraft)
         self._by_sysid = {member.aircraft.config.sysid: member for member in self._members.values()}
 
     # --- for any thread
@@ -248,16 +254,11 @@ class FleetController:
             the fleet has its failure at once.
         """
         futures: dict[str, Future[OrderResult]] = {name: Future() for name in names}
-        rank = 0
-        for name, future in futures.items():
-            member = self._members.get(name)
-            if member is None:
-                known = ", ".join(self._members)
-                future.set_result(OrderResult(False, f"no UAV named {name!r} in the fleet file; there are {known}"))
-                continue
-            delay_s = rank * self._settings.launch_stagger_s
-            rank += 1
-            self._call(partial(self._begin, member, order, delay_s, future))
+        for name in futures.keys() - self._members.keys():
+            known = ", ".join(self._members)
+            futures[name].set_result(OrderResult(False, f"no UAV named {name!r} in the fleet file; there are {known}"))
+        meant = {name: future for name, future in futures.items() if name in self._members}
+        self._call(lambda now: self._begin(order, meant, now))
         return futures
 
     # --- on the I/O thread
@@ -274,17 +275,45 @@ class FleetController:
             # Goals of one plan come together: one look at the traffic for all of them, in this same turn.
             self._traffic_at = member.tick_at = self._tick_due_at = now
 
-    def _begin(
-        self, member: _Member, order: FleetOrder, delay_s: float, future: Future[OrderResult], now: float
-    ) -> None:
-        aircraft = member.aircraft
-        aircraft.now = now
+    def _begin(self, order: FleetOrder, futures: Mapping[str, Future[OrderResult]], now: float) -> None:
+        begun: dict[str, Done] = {}
+        for name, future in futures.items():
+            done: Done = partial(_report, future)
+            self._members[name].aircraft.now = now
+            if not self._members[name].aircraft.join(done, order.value):
+                begun[name] = done
+        turns = self._turns(order, list(begun))
+        for rank, (name, done) in enumerate(begun.items()):
+            member = self._members[name]
+            delay_s = rank * self._settings.launch_stagger_s
+            member.aircraft.run(self._procedure(order, member.aircraft, delay_s, turns.get(name)), done, order.value)
+            self._tick(member, now)
 
-        def done(success: bool, message: str) -> None:
-            future.set_result(OrderResult(success, message))
+    def _turns(self, order: FleetOrder, names: list[str]) -> dict[str, Turn]:
+        """Turns of those that are told to take off, or to come home, together."""
+        if self._tower is None:
+            return {}
+        fleet = {name: self._members[name].aircraft for name in names}
+        if order is FleetOrder.LAUNCH:
+            return self._tower.departures({name: pad for name, one in fleet.items() if (pad := one.pad_m) is not None})
+        if order is FleetOrder.RETURN_HOME:
+            homes = {
+                name: (math.dist(one.enu_m, home), home)
+                for name, one in fleet.items()
+                if one.vehicle.in_air and one.enu_m is not None and (home := one.home_m) is not None
+            }
+            # Who is there first lands first.
+            return self._tower.arrivals({name: homes[name][1] for name in sorted(homes, key=lambda n: homes[n][0])})
+        return {}
 
-        aircraft.run(_procedure(order, aircraft, delay_s), done, order.value)
-        self._tick(member, now)
+    def _procedure(self, order: FleetOrder, aircraft: Aircraft, delay_s: float, turn: Turn | None) -> Procedure:
+        if order is FleetOrder.LAUNCH:
+            return procedures.launch(aircraft, delay_s, self._tower, turn)
+        if order is FleetOrder.HOLD:
+            return procedures.hold(aircraft)
+        if order is FleetOrder.RETURN_HOME:
+            return procedures.return_home(aircraft, self._tower, turn)
+        return procedures.land(aircraft, self._tower)
 
     def _run(self) -> None:
         try:
@@ -444,11 +473,11 @@ def _budget(link: LinkConfig, setpoint_hz: float) -> tuple[dict[int, float], str
     )
 
 
-def _procedure(order: FleetOrder, aircraft: Aircraft, delay_s: float) -> Procedure:
-    if order is FleetOrder.LAUNCH:
-        return procedures.launch(aircraft, delay_s)
-    if order is FleetOrder.HOLD:
-        return procedures.hold(aircraft)
-    if order is FleetOrder.RETURN_HOME:
-        return procedures.return_home(aircraft)
-    return procedures.land(aircraft)
+def _tower(traffic: TrafficControl, settings: AircraftSettings) -> Tower:
+    fence = settings.limits.fence
+    top_m = traffic.limits.max_altitude_m
+    return Tower(traffic, settings.takeoff_height_m, top_m if fence is None else min(top_m, fence.max_height_m))
+
+
+def _report(future: Future[OrderResult], success: bool, message: str) -> None:
+    future.set_result(OrderResult(success, message))

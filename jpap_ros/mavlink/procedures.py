@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator
+from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from jpap_ros.fleet.tower import CLIMB_TOLERANCE_M, Hindrance, Tower, Turn
 from jpap_ros.mavlink.aircraft import Aircraft, Procedure, ProcedureFailed
+from jpap_ros.mavlink.authority import Holder
 from jpap_ros.mavlink.autopilots import Autopilot, TargetError, Transport
 from jpap_ros.mavlink.commands import Command, Outcome
 from jpap_ros.mavlink.vehicle import LinkState
@@ -17,14 +21,17 @@ MODE_TIMEOUT_S = 5.0
 ARMED_TIMEOUT_S = 5.0
 #: STATUSTEXT that explains a refusal may come this long after the answer [s].
 WORDS_AFTER_S = 1.0
-#: A climb may take this long, plus a time that grows with the height [s], [m/s].
+#: A climb or a landing may take this long, plus a time that grows with the height [s], [m/s].
 CLIMB_TIMEOUT_S = 30.0
 CLIMB_SPEED_M_S = 0.5
+#: Time given to somebody to get out of the way of a take-off or a landing, who does not take off or land himself [s].
+WAY_TIMEOUT_S = 45.0
 
 Wait = Generator[None, None, None]
+Place = tuple[float, float, float]
 
 
-def launch(aircraft: Aircraft, delay_s: float = 0.0) -> Procedure:
+def launch(aircraft: Aircraft, delay_s: float = 0.0, tower: Tower | None = None, turn: Turn | None = None) -> Procedure:
     """Take an aircraft from the ground into the air, or back from a pilot, and open it to the planner's goals.
 
     Arming and take-off are sent once each: without an answer the heartbeat and the landed state decide, and nothing
@@ -35,24 +42,55 @@ def launch(aircraft: Aircraft, delay_s: float = 0.0) -> Procedure:
     aircraft : Aircraft
     delay_s : float
         Wait before the first step, so that neighbours do not rise together [s].
+    tower : Tower, optional
+        Says when the way up is free, and how high to climb; without it take-offs are not kept apart.
+    turn : Turn, optional
+        Its turn, where several were told to take off together.
     """
-    aircraft.held_because = ""
-    aircraft.recalled = False
-    height_m = aircraft.settings.takeoff_height_m
-    if problem := _takeoff_problem(aircraft, height_m):
-        raise ProcedureFailed(problem)
-    if not aircraft.vehicle.in_air:
-        yield from _pause(aircraft, delay_s)
-    timeout_s = aircraft.settings.ready_timeout_s
-    if not (yield from _until(aircraft, lambda: not _not_ready(aircraft), timeout_s, needs_link=False)):
-        raise ProcedureFailed(f"not ready: {_not_ready(aircraft)}")
-    if aircraft.vehicle.in_air:
-        if aircraft.authority.ours and aircraft.goals_open and aircraft.mode == aircraft.goal_mode:
-            return "in the air and flying its goals already"
+    try:
+        aircraft.held_because = ""
+        aircraft.recalled = False
+        if problem := _takeoff_problem(aircraft, aircraft.settings.takeoff_height_m):
+            raise ProcedureFailed(problem)
+        if not aircraft.vehicle.in_air:
+            yield from _pause(aircraft, delay_s)
+        timeout_s = aircraft.settings.ready_timeout_s
+        if not (yield from _until(aircraft, lambda: not _not_ready(aircraft), timeout_s, needs_link=False)):
+            raise ProcedureFailed(f"not ready: {_not_ready(aircraft)}")
+        if aircraft.vehicle.in_air:
+            if aircraft.authority.ours and aircraft.goals_open and aircraft.mode == aircraft.goal_mode:
+                return "in the air and flying its goals already"
+            yield from _open_to_goals(aircraft)
+            return "in the air already; flies its goals now"
+        pad = aircraft.pad_m
+        if pad is None:
+            raise ProcedureFailed("it is taking off or landing; call again when it is in the air or on the ground")
+        height_m = aircraft.settings.takeoff_height_m
+        if tower is not None:
+            turn = turn or tower.departures({aircraft.config.name: pad})[aircraft.config.name]
+            assert turn.altitude_m is not None
+            height_m = turn.altitude_m - pad[2]
+            yield from _wait_for_turn(aircraft, partial(_climb_hindrance, aircraft, tower, turn), "take off")
+        yield from _rise(aircraft, height_m)
         yield from _open_to_goals(aircraft)
-        return "in the air already; flies its goals now"
-    if not aircraft.vehicle.on_ground:
-        raise ProcedureFailed("it is taking off or landing; call again when it is in the air or on the ground")
+        return f"in the air at {height_m:.3g} m; flies its goals now"
+    finally:
+        if tower is not None and turn is not None:
+            tower.leave(turn)
+
+
+def _climb_hindrance(aircraft: Aircraft, tower: Tower, turn: Turn) -> Hindrance | None:
+    problem = _not_ready(aircraft)
+    return Hindrance(problem) if problem else tower.may_climb(turn, aircraft.now)
+
+
+def _landing_hindrance(aircraft: Aircraft, tower: Tower, turn: Turn) -> Hindrance | None:
+    if aircraft.vehicle.link is not LinkState.CONNECTED:
+        return Hindrance("link lost")
+    return tower.may_land(turn, _here(aircraft), aircraft.now)
+
+
+def _rise(aircraft: Aircraft, height_m: float) -> Wait:
     autopilot = _autopilot(aircraft)
     aircraft.authority.take({aircraft.mode}, aircraft.now)
     try:
@@ -64,8 +102,6 @@ def launch(aircraft: Aircraft, delay_s: float = 0.0) -> Procedure:
         if aircraft.vehicle.on_ground:
             _stand_down(aircraft)
         raise
-    yield from _open_to_goals(aircraft)
-    return f"in the air at {height_m:g} m; flies its goals now"
 
 
 def hold(aircraft: Aircraft) -> Procedure:
@@ -88,21 +124,115 @@ def hold(aircraft: Aircraft) -> Procedure:
     return f"holds in {aircraft.mode}"
 
 
-def return_home(aircraft: Aircraft) -> Procedure:
-    """Fly home and land there, by the autopilot's own return mode."""
-    autopilot = _autopilot(aircraft)
-    return (yield from _leave(aircraft, autopilot.return_home(), autopilot.return_mode, "returns home"))
+def return_home(aircraft: Aircraft, tower: Tower | None = None, turn: Turn | None = None) -> Procedure:
+    """Bring an aircraft home and land it there.
+
+    With a tower it flies to above its home under traffic control, waits there for its turn and lands; the answer comes
+    when it is on its way. One that a pilot or a failsafe has, that is in a critical state or does not tell its home,
+    and any aircraft without a tower, is sent home by the autopilot's own return mode, straight and at once.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    tower : Tower, optional
+    turn : Turn, optional
+        Its turn, where several were told to come home together.
+    """
+    words = "returns home"
+    home = aircraft.home_m
+    try:
+        autopilot = _autopilot(aircraft)
+        direct = aircraft.authority.holder is Holder.OTHERS or aircraft.mode == autopilot.return_mode
+        if tower is None or home is None or direct or aircraft.vehicle.critical or not aircraft.vehicle.in_air:
+            return (yield from _leave(aircraft, autopilot.return_home(), autopilot.return_mode, words))
+        because = _recall(aircraft, words)
+        yield from _open_to_goals(aircraft)
+        turn = turn or tower.arrivals({aircraft.config.name: home})[aircraft.config.name]
+        aircraft.answer("flies home under traffic control and lands there in its turn")
+        while not _is_above(aircraft, place := tower.waiting_place(turn)):
+            aircraft.way_home = place
+            aircraft.held_because = because + (f"; waits: {aircraft.way_closed}" if aircraft.way_closed else "")
+            yield
+        while hindrance := _landing_hindrance(aircraft, tower, turn):
+            aircraft.held_because = f"{because}; waits above its home: {hindrance.words}"
+            yield
+        aircraft.held_because = because
+        return (yield from _touch_down(aircraft, words))
+    except ProcedureFailed as failure:
+        aircraft.held_because = f"{words} by the operator's command, but {failure}; holds until the next command"
+        raise
+    finally:
+        aircraft.way_home = None
+        if tower is not None and turn is not None:
+            tower.leave(turn)
 
 
-def land(aircraft: Aircraft) -> Procedure:
-    """Land where it is."""
+def land(aircraft: Aircraft, tower: Tower | None = None) -> Procedure:
+    """Land where it is; with a tower, when nobody is in the way."""
+    words = "lands"
     autopilot = _autopilot(aircraft)
-    return (yield from _leave(aircraft, autopilot.land(), autopilot.land_mode, "lands"))
+    here = aircraft.enu_m
+    if tower is None or here is None or not aircraft.vehicle.in_air:
+        return (yield from _leave(aircraft, autopilot.land(), autopilot.land_mode, words))
+    _recall(aircraft, words)
+    turn = tower.landing(aircraft.config.name, here)
+    try:
+        yield from _wait_for_turn(aircraft, partial(_landing_hindrance, aircraft, tower, turn), "land")
+        return (yield from _touch_down(aircraft, words))
+    finally:
+        tower.leave(turn)
+
+
+def _is_above(aircraft: Aircraft, place: Place | None) -> bool:
+    """Whether it is where it should wait, or hovers lower above its home: that is as good, without a climb."""
+    here, near_m = aircraft.enu_m, aircraft.settings.arrival_radius_m
+    if here is None or place is None or math.dist(here[:2], place[:2]) > near_m:
+        return False
+    return abs(here[2] - place[2]) <= near_m or (here[2] < place[2] and aircraft.way_home is None)
+
+
+def _here(aircraft: Aircraft) -> Place:
+    if aircraft.enu_m is None:
+        raise ProcedureFailed("its position is not known")
+    return aircraft.enu_m
+
+
+def _touch_down(aircraft: Aircraft, words: str) -> Procedure:
+    """Land by the autopilot's own mode, and see it to the ground."""
+    autopilot = _autopilot(aircraft)
+    height_m = _here(aircraft)[2]
+    answer = yield from _leave(aircraft, autopilot.land(), autopilot.land_mode, words)
+    aircraft.answer(answer)
+    timeout_s = CLIMB_TIMEOUT_S + max(height_m, 0.0) / CLIMB_SPEED_M_S
+    yield from _until(
+        aircraft,
+        lambda: aircraft.vehicle.on_ground or aircraft.mode != autopilot.land_mode,
+        timeout_s,
+        needs_link=False,
+    )
+    return answer
+
+
+def _wait_for_turn(aircraft: Aircraft, hindrance: Callable[[], Hindrance | None], what: str) -> Wait:
+    """Wait for those who take off or land themselves, which ends; for others only so long."""
+    deadline = math.inf
+    while found := hindrance():
+        deadline = math.inf if found.passes else min(deadline, aircraft.now + WAY_TIMEOUT_S)
+        if aircraft.now >= deadline:
+            raise ProcedureFailed(f"cannot {what} for {WAY_TIMEOUT_S:g} s: {found.words}")
+        yield
+        _check_link(aircraft)
+
+
+def _recall(aircraft: Aircraft, words: str) -> str:
+    """Take an aircraft out of the planner's hands."""
+    aircraft.held_because = f"{words} by the operator's command; call bridge/launch to fly goals again"
+    aircraft.recalled = True
+    return aircraft.held_because
 
 
 def _leave(aircraft: Aircraft, command: Command, mode: str, words: str) -> Procedure:
-    aircraft.held_because = f"{words} by the operator's command; call bridge/launch to fly goals again"
-    aircraft.recalled = True
+    because = _recall(aircraft, words)
     if aircraft.vehicle.on_ground:
         _stand_down(aircraft)
         return "on the ground already"
@@ -110,7 +240,7 @@ def _leave(aircraft: Aircraft, command: Command, mode: str, words: str) -> Proce
     aircraft.begin_hold()
     yield from _change_mode(aircraft, command, mode)
     aircraft.streaming = False
-    aircraft.authority.release(aircraft.held_because)
+    aircraft.authority.release(because)
     return f"{words} ({mode})"
 
 
@@ -198,7 +328,7 @@ def _take_off(aircraft: Aircraft, height_m: float) -> Wait:
         )
         if not left:
             yield from _refused(aircraft, outcome, began)
-    enough_m = height_m - max(0.5, 0.05 * height_m)
+    enough_m = height_m - min(max(0.5, 0.05 * height_m), CLIMB_TOLERANCE_M)
 
     def arrived() -> bool:
         return vehicle.in_air and vehicle.position is not None and vehicle.position.relative_m >= enough_m

@@ -1,0 +1,159 @@
+"""Aerodrome control: whose turn it is to take off or land, and where those wait whose turn has not come."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from jpap_ros.fleet.sequencing import landing_waves, takeoff_waves
+from jpap_ros.fleet.traffic import TrafficControl, Vector
+
+#: An autopilot ends a climb within this of the height that it was told [m].
+CLIMB_TOLERANCE_M = 1.0
+
+
+@dataclass(eq=False)
+class Turn:
+    """One aircraft's place in the order of take-offs or landings.
+
+    Attributes
+    ----------
+    name : str
+    pad : (east, north, up)
+        Where it stands, or will land [m].
+    altitude_m : float or None
+        z that it climbs to, or waits at until it may land [m]; None: no height is left yet.
+    after : tuple of Turn
+        Neighbours that climb first.
+    over : bool
+        It has climbed, landed, or given up.
+    """
+
+    name: str
+    pad: Vector
+    altitude_m: float | None
+    after: tuple[Turn, ...] = ()
+    over: bool = False
+
+
+@dataclass(frozen=True)
+class Hindrance:
+    """Why an aircraft may not climb or land yet.
+
+    Attributes
+    ----------
+    words : str
+    passes : bool
+        It takes off or lands itself, and that ends by itself; otherwise nobody knows when it goes away.
+    """
+
+    words: str
+    passes: bool = False
+
+
+class Tower:
+    """Gives out turns, and the column of air that a climb or a landing needs.
+
+    Parameters
+    ----------
+    traffic : TrafficControl
+        Knows who is in the air, and keeps others out of a column that is in use.
+    takeoff_height_m : float
+        Least height to climb to, above the pad [m].
+    top_m : float
+        Highest altitude for those that climb first or wait for their landing [m].
+
+    Notes
+    -----
+    Who waits on the ground closes nothing, a column is taken whole or not at all, and one who waits to land is never in
+    the way of one that is lower: so no two wait for each other.
+    """
+
+    def __init__(self, traffic: TrafficControl, takeoff_height_m: float, top_m: float) -> None:
+        self._traffic = traffic
+        self._takeoff_height_m = takeoff_height_m
+        self._top_m = top_m
+        self._departures: list[Turn] = []
+        self._arrivals: list[Turn] = []
+        self._landings: list[Turn] = []
+
+    @property
+    def _separation_m(self) -> float:
+        return self._traffic.limits.planned_separation_m + CLIMB_TOLERANCE_M
+
+    def departures(self, pads: Mapping[str, Vector]) -> dict[str, Turn]:
+        """Give turns to aircraft that are to take off together: of those close together the first climbs highest."""
+        waves = takeoff_waves(pads, self._takeoff_height_m, self._separation_m, self._top_m)
+        given: list[Turn] = []
+        # Those for which no height is left come last, as low as may be, when the others have flown away.
+        last = {name: pads[name][2] + self._takeoff_height_m for name in waves.held}
+        for wave in (*waves.waves, *({name: altitude} for name, altitude in last.items())):
+            given += [
+                Turn(name, pads[name], altitude, self._before(pads[name], given)) for name, altitude in wave.items()
+            ]
+        self._departures += given
+        return {turn.name: turn for turn in given}
+
+    def arrivals(self, homes: Mapping[str, Vector]) -> dict[str, Turn]:
+        """Give turns to aircraft that are to come home; where homes are close together the first waits lowest."""
+        given = {name: Turn(name, home, None) for name, home in homes.items()}
+        self._stack(given)
+        self._arrivals += given.values()
+        return given
+
+    def landing(self, name: str, place: Vector) -> Turn:
+        """Give a turn to an aircraft that is to land where it is."""
+        turn = Turn(name, place, place[2])
+        self._landings.append(turn)
+        return turn
+
+    def waiting_place(self, turn: Turn) -> Vector | None:
+        """Where an aircraft that comes home waits until it may land; None: where it is, no height is left."""
+        if turn.altitude_m is None:
+            self._stack({turn.name: turn})
+        return None if turn.altitude_m is None else (turn.pad[0], turn.pad[1], turn.altitude_m)
+
+    def may_climb(self, turn: Turn, now: float) -> Hindrance | None:
+        """Who is in the way of a take-off; None: the column is its own from now on, until it leaves."""
+        assert turn.altitude_m is not None
+        first = next((other.name for other in turn.after if not other.over), None)
+        if first is not None:
+            return Hindrance(f"{first} climbs first", passes=True)
+        return self._claim(turn.name, (turn.pad[0], turn.pad[1], turn.altitude_m), turn.pad[2], now)
+
+    def may_land(self, turn: Turn, here: Vector, now: float) -> Hindrance | None:
+        """Who is in the way of a landing from here straight down; None: the column is its own until it leaves."""
+        return self._claim(turn.name, here, min(turn.pad[2], here[2]), now)
+
+    def leave(self, turn: Turn) -> None:
+        """Take back a turn: it is in the air, or on the ground, or has given up; the next one's turn comes."""
+        turn.over = True
+        for turns in (self._departures, self._arrivals, self._landings):
+            if turn in turns:
+                turns.remove(turn)
+        if turn.name in self._traffic.columns:
+            self._traffic.release(turn.name)
+
+    def _claim(self, name: str, top: Vector, bottom_m: float, now: float) -> Hindrance | None:
+        other = self._traffic.claim(name, top, bottom_m, now)
+        if not other:
+            return None
+        passes = other in self._traffic.columns or any(turn.name == other for turn in self._landings)
+        return Hindrance("it is not at rest yet" if other == name else f"{other} is in the column", passes)
+
+    def _before(self, pad: Vector, given: list[Turn]) -> tuple[Turn, ...]:
+        return tuple(
+            other for other in (*self._departures, *given) if math.dist(pad[:2], other.pad[:2]) < self._separation_m
+        )
+
+    def _stack(self, turns: Mapping[str, Turn]) -> None:
+        """Give waiting heights, as far as there are any, above those that were given before."""
+        height_m = max(self._takeoff_height_m, self._traffic.limits.min_altitude_m)
+        waiting = {
+            other.name: (*other.pad[:2], other.altitude_m) for other in self._arrivals if other.altitude_m is not None
+        }
+        homes = {name: turn.pad for name, turn in turns.items()}
+        waves = landing_waves(homes, height_m, self._separation_m, self._top_m, waiting)
+        for name, altitude in waves.altitude_m.items():
+            turns[name].altitude_m = altitude
