@@ -12,7 +12,6 @@ import enum
 import hashlib
 import hmac
 import os
-import stat
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from jpap_ros.fleet.secret_file import read_secret
 from jpap_ros.mavlink.frame import MAVLINK2_MAGIC, SIGNATURE_BLOCK_BYTES, SIGNED_FLAG
 
 EPOCH_UNIX_S = 1_420_070_400
@@ -68,20 +68,10 @@ class SigningKey:
             If the file cannot be read, is empty, or can be read by others than its owner.
         """
         try:
-            # The permissions are those of the file that is read, whatever happens to the name meanwhile.
-            with path.open("rb") as file:
-                mode = os.fstat(file.fileno()).st_mode
-                text = file.read(4097)
-        except OSError as error:
-            raise SigningError(f"signing key file {path}: cannot be read: {error.strerror}") from None
-        if mode & (stat.S_IRWXG | stat.S_IRWXO):
-            raise SigningError(
-                f"signing key file {path}: its mode {stat.S_IMODE(mode):04o} lets others than its owner at it; "
-                f"chmod 600 it"
-            )
-        # An editor's newline at the end is not part of a passphrase.
-        text = text.rstrip(b"\r\n")
-        if not text or len(text) > 4096:
+            text = read_secret(path)
+        except ValueError as error:
+            raise SigningError(f"signing key file {path}: {error}") from None
+        if not text:
             raise SigningError(f"signing key file {path}: must hold 64 hexadecimal digits or a passphrase")
         if len(text) == 2 * _KEY_BYTES:
             with contextlib.suppress(ValueError):
