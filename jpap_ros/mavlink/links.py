@@ -60,10 +60,19 @@ class LinkHub:
         Our own MAVLink identity.
     clock : callable
         Monotonic time [s].
+    on_frame : callable, optional
+        Called with the link's url and the raw bytes of every frame sent, or received and believed; must return at once.
     """
 
-    def __init__(self, sysid: int, component: int = COMPONENT_ID, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        sysid: int,
+        component: int = COMPONENT_ID,
+        clock: Callable[[], float] = time.monotonic,
+        on_frame: Callable[[LinkUrl, bytes | bytearray], None] | None = None,
+    ) -> None:
         self._clock = clock
+        self._on_frame = on_frame
         self._selector = selectors.DefaultSelector()
         self._links: list[Link] = []
         self._service_at: dict[Link, float] = {}
@@ -155,6 +164,8 @@ class LinkHub:
                         continue
                 source = (message.get_srcSystem(), message.get_srcComponent())
                 statistics.count_received(source, message.get_seq(), len(frame), now)
+                if self._on_frame is not None:
+                    self._on_frame(link.url, frame)
                 yield Packet(link, peer, message, now)
 
     def send(self, link: Link, message: dialect.MAVLink_message, peer: Peer | None = None) -> bool:
@@ -216,6 +227,8 @@ class LinkHub:
     def _transmit(self, link: Link, frame: bytes, peer: Peer) -> bool:
         if not link.transmit(frame, peer):
             return False
+        if self._on_frame is not None:
+            self._on_frame(link.url, frame)
         link.statistics.sent.add(len(frame), self._clock())
         bucket = self._buckets.get(link)
         if bucket is not None:

@@ -26,8 +26,9 @@ from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.plan_files import PlanPicture
 from jpap_ros.mavlink.plan_folder import write_plan
 from jpap_ros.mavlink.snapshot import AircraftSnapshot
+from jpap_ros.mavlink.tlog import TlogFolder
 from jpap_ros.nodes.bridge_conversions import goal_marks, goal_of, pose_of, state_message
-from jpap_ros.nodes.bridge_diagnostics import aircraft_status, link_status
+from jpap_ros.nodes.bridge_diagnostics import aircraft_status, link_status, tlog_status
 from jpap_ros.nodes.bridge_parameters import bridge_parameters, controller_settings
 from jpap_ros.nodes.goal_book import GoalBook
 from jpap_ros.nodes.parameters import StartError, declare, values
@@ -48,6 +49,7 @@ class BridgeNode(Node):
     def __init__(self) -> None:
         # First, because rclpy destroys a node whose making was refused.
         self._controller: FleetController | None = None
+        self._tlog: TlogFolder | None = None
         super().__init__("bridge")
         params = bridge_parameters()
         declare(self, params)
@@ -71,8 +73,14 @@ class BridgeNode(Node):
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._wake = self.create_guard_condition(self._on_wake)
         try:
+            if settings["tlog_dir"]:
+                self._tlog = TlogFolder(Path(settings["tlog_dir"]).expanduser(), self.get_logger().warning)
             self._controller = FleetController(
-                fleet, controller_settings(settings, fleet), self._on_snapshot, self._wake.trigger
+                fleet,
+                controller_settings(settings, fleet),
+                self._on_snapshot,
+                self._wake.trigger,
+                None if self._tlog is None else self._tlog.keep,
             )
         except (ValueError, OSError) as error:
             raise StartError(str(error)) from None
@@ -99,6 +107,8 @@ class BridgeNode(Node):
         """Part from the aircraft as their autopilots need it, and leave the graph."""
         if self._controller is not None:
             self._controller.close()
+        if self._tlog is not None:
+            self._tlog.close()
         super().destroy_node()
 
     # From the planner
@@ -252,6 +262,8 @@ class BridgeNode(Node):
         node = self.get_fully_qualified_name()
         status = [aircraft_status(node, self._snapshots[name]) for name in self._names if name in self._snapshots]
         status += [link_status(node, report) for report in self._controller.link_reports]
+        if self._tlog is not None:
+            status.append(tlog_status(node, self._tlog))
         self._diagnostics_out.publish(DiagnosticArray(header=self._header(), status=status))
 
     def _header(self) -> Header:

@@ -7,6 +7,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from jpap_ros.mavlink.goals import GoalState
 from jpap_ros.mavlink.link_report import LinkReport
 from jpap_ros.mavlink.snapshot import AircraftSnapshot
+from jpap_ros.mavlink.tlog import TlogFolder
 from jpap_ros.mavlink.vehicle import LinkState
 
 #: Share of messages lost from which a link asks for attention.
@@ -69,6 +70,17 @@ def link_status(node: str, report: LinkReport) -> DiagnosticStatus:
         hardware_id=report.url,
         message=message,
         values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
+    )
+
+
+def tlog_status(node: str, tlog: TlogFolder) -> DiagnosticStatus:
+    """Return the status: WARN while telemetry logs cannot be written."""
+    return DiagnosticStatus(
+        level=DiagnosticStatus.WARN if tlog.problem else DiagnosticStatus.OK,
+        name=f"{node}: telemetry log",
+        hardware_id=str(tlog.folder),
+        message=f"{tlog.problem}; make room, logging goes on by itself" if tlog.problem else "written",
+        values=[KeyValue(key="frames left out", value=str(tlog.lost))],
     )
 
 

@@ -37,6 +37,12 @@ def bridge_parameters() -> tuple[Param, ...]:
         Param(
             "plan_dir", "", "Keep each plan here as plan.geojson, plan.kml and plan.plan; empty: nowhere", fixed=True
         ),
+        Param(
+            "tlog_dir",
+            "",
+            "Keep what passes over each link here, as .tlog for ground stations; empty: nowhere",
+            fixed=True,
+        ),
         Param("arrival_radius_m", 1.0, "A goal is reached within this distance [m]", 0.1, 100.0, fixed=True),
         Param("takeoff_height_m", 10.0, "Height above home that bridge/launch climbs to [m]", 1.0, 500.0, fixed=True),
         Param("launch_stagger_s", 0.5, "Between the take-offs of one bridge/launch [s]", 0.0, 600.0, fixed=True),
