@@ -18,7 +18,7 @@ from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.mavlink.guards import PlanDeadman
-from jpap_ros.mavlink.streams import WANTED, affordable_rates
+from jpap_ros.mavlink.streams import WANTED
 
 ORIGIN = MapOrigin(-37.8136, 144.9631, 20.0)
 VEHICLE = (1, 1)
@@ -264,18 +264,6 @@ def test_a_goal_far_from_where_a_pilot_left_the_aircraft_is_refused() -> None:
         rig.position(-1000.0)
         rig.aircraft.tick(rig.now)
     assert rig.goal == (GoalState.REJECTED, "goal is 1100 m away, most 200 m (max_goal_jump_m)")
-
-
-def test_a_slow_radio_gets_slower_telemetry_and_a_hopeless_one_is_told() -> None:
-    full, overloaded = affordable_rates(None, 4, 2.0, signed=False)
-    assert not overloaded and full == {message_id: wanted.rate_hz for message_id, wanted in WANTED.items()}
-    slow, overloaded = affordable_rates(1500.0, 4, 2.0, signed=False)
-    assert not overloaded
-    assert all(slow[i] <= full[i] for i in full) and slow != full
-    # Least rates first: a position every other second at least.
-    assert slow[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT] >= 0.5
-    # 4 aircraft * 2 Hz * 65 bytes of targets alone are 520 byte/s: payload 53, header and checksum 12.
-    assert affordable_rates(500.0, 4, 2.0, signed=False)[1]
 
 
 def echo(rig: Rig, up_m: float, east_m: float = 0.0) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from jpap_ros.mavlink.commands import Command, CommandChannel, Pending
+from jpap_ros.mavlink.commands import ORDER_ATTEMPTS, Command, CommandChannel, Pending
 
 OWN = (245, 191)
 VEHICLE = (7, 1)
@@ -66,6 +67,56 @@ def test_a_harmless_command_is_repeated_with_confirmation_raised_then_given_up(r
     assert [m.confirmation for m in rig.wire] == [0, 1, 2]
     assert ended(pending, False, "no answer")
     assert rig.channel.unanswered_in_row == 1
+
+
+def test_an_order_is_repeated_more_often(rig: Rig) -> None:
+    pending = rig.channel.start(replace(MODE, attempts=ORDER_ATTEMPTS), 0.0)
+    rig.run(20.0)
+    assert [m.confirmation for m in rig.wire] == list(range(8))
+    assert ended(pending, False, "no answer")
+
+
+class TestInsistence:
+    """What must not be done late or twice. Oracle: PROMPT_S (10 s) and ANSWER_TIMEOUT_S (1 s), by hand."""
+
+    def test_it_is_sent_again_each_second_while_it_is_certainly_not_done_but_not_late(self, rig: Rig) -> None:
+        sent_at: list[float] = []
+        pending = rig.channel.start(ARM, 0.0, lambda at: bool(sent_at.append(at)))
+        rig.run(60.0)
+        assert [m.confirmation for m in rig.wire] == list(range(10))
+        assert sent_at == list(range(9)), "asked about the last time it was sent, the last one at 9 s"
+        assert ended(pending, False, "no answer")
+        assert rig.channel.unanswered_in_row == 1
+
+    def test_it_is_not_sent_again_once_it_shows(self, rig: Rig) -> None:
+        pending = rig.channel.start(ARM, 0.0, lambda at: True)
+        rig.run(60.0)
+        assert len(rig.wire) == 1 and ended(pending, False, "no answer")
+
+    def test_it_is_not_sent_again_while_nobody_knows(self, rig: Rig) -> None:
+        known: dict[float, bool] = {}
+        pending = rig.channel.start(ARM, 0.0, known.get)
+        rig.run(5.0)
+        assert len(rig.wire) == 1 and pending.outcome is None
+        known[0.0] = False
+        rig.run(5.1, start=5.1)
+        assert len(rig.wire) == 2
+        rig.run(60.0, start=5.2)
+        assert len(rig.wire) == 2 and ended(pending, False, "no answer")
+
+    @pytest.mark.parametrize("result", [mavlink.MAV_RESULT_FAILED, mavlink.MAV_RESULT_TEMPORARILY_REJECTED])
+    def test_no_is_an_answer(self, rig: Rig, result: int) -> None:
+        pending = rig.channel.start(ARM, 0.0, lambda at: False)
+        rig.ack(ARM, result, 0.1)
+        rig.run(60.0)
+        assert len(rig.wire) == 1 and ended(pending, False)
+
+    def test_cancelled_it_is_over(self, rig: Rig) -> None:
+        rig.channel.start(ARM, 0.0, lambda at: False)
+        rig.run(1.5)
+        rig.channel.cancel("link lost")
+        rig.run(60.0, start=1.6)
+        assert len(rig.wire) == 2
 
 
 @pytest.mark.parametrize("result", [None, mavlink.MAV_RESULT_TEMPORARILY_REJECTED])

@@ -149,6 +149,42 @@ def test_words_in_several_chunks() -> None:
     assert vehicle.words_since(0.0) == whole
 
 
+@pytest.mark.parametrize(
+    ("boot_s", "rate"),
+    [
+        # A real autopilot: two seconds of its clock in two of ours; and one whose frames come late by a third.
+        ([0.0, 1.0, 2.0], 1.0),
+        ([0.0, 0.6, 2.7], 1.0),
+        # Simulations that run faster.
+        ([0.0, 5.0, 10.0], 5.0),
+        ([0.0, 1.6, 3.2], 1.6),
+        # Not yet two seconds: not judged.
+        ([0.0, 20.0], 1.0),
+    ],
+)
+def test_how_fast_its_clock_runs(boot_s: list[float], rate: float) -> None:
+    """Oracle: milliseconds since its boot per second of ours, by hand over 2 s; below 1.5 it counts as 1."""
+    vehicle = Vehicle(1)
+    for second, boot in enumerate(boot_s):
+        vehicle.hear(position(1000 + round(boot * 1e3)), 50.0 + second)
+    assert vehicle.clock_rate == pytest.approx(rate)
+
+
+def test_its_clock_is_judged_anew_all_the_time_and_after_a_reboot() -> None:
+    vehicle = Vehicle(1)
+    for second in range(3):
+        vehicle.hear(position(10_000 + 8000 * second), 50.0 + second)
+    assert vehicle.clock_rate == 8.0
+    for second in range(3):
+        vehicle.hear(position(26_000 + 1000 * second), 52.0 + second)
+    assert vehicle.clock_rate == 1.0
+    for second in range(3):
+        vehicle.hear(position(28_000 + 8000 * second), 54.0 + second)
+    assert vehicle.clock_rate == 8.0
+    assert vehicle.hear(position(100), 57.0)
+    assert vehicle.clock_rate == 1.0
+
+
 class TestSightings:
     """Oracle: the rule in the class's notes, followed by hand."""
 
@@ -191,3 +227,25 @@ class TestSightings:
             routes.append(sightings.route(second))
         assert routes == ["old"] * 4 + ["new"] * 2
         assert sightings.duplicates(7.0) == ()
+
+    def test_while_the_route_is_doubtful_the_other_links_stand_in(self) -> None:
+        sightings: Sightings[str] = Sightings(4.0)
+        sightings.heard(0, "wifi", 0.0)
+        sightings.heard(1, "radio", 0.0)
+        sightings.alive("wifi", 0.8)
+        assert sightings.stand_ins(1.2) == ()
+        # Silent for more than half a second, but not lost yet.
+        assert sightings.route(1.4) == "wifi"
+        assert sightings.stand_ins(1.4) == ("radio",)
+        sightings.alive("wifi", 1.5)
+        assert sightings.stand_ins(1.6) == ()
+        # The other link was silent all the while, and is forgotten after 4 s; so is the first one.
+        assert sightings.stand_ins(3.9) == ("radio",)
+        sightings.heard(0, "wifi", 4.1)
+        assert sightings.stand_ins(5.0) == ()
+
+    def test_what_does_not_beat_does_not_stand_in(self) -> None:
+        sightings: Sightings[str] = Sightings(4.0)
+        sightings.heard(0, "wifi", 0.0)
+        sightings.alive("stranger", 0.0)
+        assert sightings.stand_ins(2.0) == ()

@@ -350,6 +350,10 @@ class Aircraft:
         if self.autopilot is not None:
             self._streams.restart()
 
+    def want_telemetry(self, rates_hz: Mapping[int, float]) -> None:
+        """Ask for messages at other rates [Hz], by message id."""
+        self._streams.want(rates_hz)
+
     def _look_at_mode(self) -> None:
         if self.authority.observe(self.mode, self.vehicle.armed, self.now):
             self.streaming = self.goals_open = False

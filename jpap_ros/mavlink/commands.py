@@ -1,6 +1,7 @@
 """The command protocol, for one vehicle: answers matched, repeated only where repeating is harmless.
 
-Source: https://mavlink.io/en/services/command.html
+Source: https://mavlink.io/en/services/command.html. What must not be done late or twice (arming, take-off) is sent
+again only while the operator's order is fresh and telemetry shows that it was not done.
 """
 
 from __future__ import annotations
@@ -12,11 +13,15 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-#: Times that a harmless command is sent before it counts as unanswered, and the wait after each [s].
+#: Times that a harmless question is sent before it counts as unanswered, and the wait after each [s].
 ATTEMPTS = 3
 ANSWER_TIMEOUT_S = 1.0
+#: The same for a harmless order, which is worth more trouble: with three frames of ten lost, 8 fail once in 15,000.
+ORDER_ATTEMPTS = 8
 #: A command that is sent once only gets this long [s].
 SINGLE_ANSWER_TIMEOUT_S = 3.0
+#: What must not be done late is not sent later than this after it was first sent [s].
+PROMPT_S = 10.0
 #: An IN_PROGRESS extends the wait by this much [s].
 PROGRESS_TIMEOUT_S = 10.0
 #: TEMPORARILY_REJECTED means later: asked again after this long, this many times.
@@ -51,6 +56,8 @@ class Command:
     frame : int or None
         MAV_FRAME of the position in parameters 5 to 7: the command then goes out as COMMAND_INT, whose 1e-7 degrees
         do not suffer from single precision. None: COMMAND_LONG.
+    attempts : int
+        Times that it is sent at most, if it is idempotent.
     """
 
     id: int
@@ -58,6 +65,7 @@ class Command:
     words: str
     idempotent: bool = False
     frame: int | None = None
+    attempts: int = ATTEMPTS
 
     def message(self, system: int, component: int, as_int: bool, confirmation: int) -> Any:
         """COMMAND_INT or COMMAND_LONG."""
@@ -89,6 +97,10 @@ class Outcome:
     reason: str = ""
 
 
+#: Whether telemetry shows that a command was done that was last sent at a time [s]; None: not to be told yet.
+Done = Callable[[float], "bool | None"]
+
+
 class Pending:
     """A command under way; `outcome` is set once it has ended."""
 
@@ -100,8 +112,10 @@ class Pending:
 class _Exchange(Pending):
     """What the channel remembers of a command under way."""
 
-    def __init__(self, command: Command) -> None:
+    def __init__(self, command: Command, done: Done | None, now: float) -> None:
         super().__init__(command)
+        self.done = done
+        self.began = self.sent_at = now
         self.as_int = command.frame is not None
         self.switched = False
         self.sent = 0
@@ -136,9 +150,16 @@ class CommandChannel:
         """True while a command of this kind is under way."""
         return command_id in self._open
 
-    def start(self, command: Command, now: float) -> Pending:
-        """Send a command; a second one of a kind that is still under way ends at once, unsent."""
-        exchange = _Exchange(command)
+    def start(self, command: Command, now: float, done: Done | None = None) -> Pending:
+        """Send a command; a second one of a kind that is still under way ends at once, unsent.
+
+        Parameters
+        ----------
+        done : callable, optional
+            Makes a command that is not idempotent be sent again, while it is not answered, no later than `PROMPT_S`
+            after the first time, and each time only if telemetry shows that it was not done.
+        """
+        exchange = _Exchange(command, done, now)
         if command.id in self._open:
             exchange.outcome = Outcome(False, None, f"{command.words}: an earlier command of the kind is not answered")
             return exchange
@@ -188,11 +209,19 @@ class CommandChannel:
                 self._transmit(exchange, now)
             elif exchange.in_progress:
                 self._end(exchange, Outcome(False, None, f"{exchange.command.words}: stopped answering while at it"))
-            elif exchange.command.idempotent and exchange.sent < ATTEMPTS:
+            elif exchange.command.idempotent and exchange.sent < exchange.command.attempts:
                 self._transmit(exchange, now)
             else:
-                self.unanswered_in_row += 1
-                self._end(exchange, Outcome(False, None, f"{exchange.command.words}: no answer"))
+                self._insist(exchange, now)
+
+    def _insist(self, exchange: _Exchange, now: float) -> None:
+        """Repeat what must not be done twice if it was certainly not done; else wait for a sign, or give up."""
+        done = exchange.done(exchange.sent_at) if exchange.done and now - exchange.began < PROMPT_S else True
+        if done:
+            self.unanswered_in_row += 1
+            self._end(exchange, Outcome(False, None, f"{exchange.command.words}: no answer"))
+        elif done is False:
+            self._transmit(exchange, now)
 
     def cancel(self, reason: str) -> None:
         """End everything under way, e.g. because the vehicle rebooted or was lost: nothing of it is sent late."""
@@ -209,8 +238,9 @@ class CommandChannel:
         )
 
     def _transmit(self, exchange: _Exchange, now: float) -> None:
-        wait = ANSWER_TIMEOUT_S if exchange.command.idempotent else SINGLE_ANSWER_TIMEOUT_S
-        exchange.due = now + wait
+        repeated = exchange.command.idempotent or exchange.done is not None
+        exchange.due = now + (ANSWER_TIMEOUT_S if repeated else SINGLE_ANSWER_TIMEOUT_S)
+        exchange.sent_at = now
         exchange.sent += 1
         self._send(exchange.command.message(*self._target, exchange.as_int, exchange.sent - 1))
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from jpap_ros.fleet.config import FleetConfig, LinkConfig, LinkUrl
+from jpap_ros.fleet.config import FleetConfig, LinkUrl
 from jpap_ros.fleet.tower import Tower, Turn
 from jpap_ros.fleet.traffic import TrafficControl
 from jpap_ros.fleet.transit_plan import TransitLimits
@@ -26,12 +26,12 @@ from jpap_ros.mavlink.fleet_links import open_links
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal
 from jpap_ros.mavlink.guards import PlanDeadman
+from jpap_ros.mavlink.link_rates import LinkRates
 from jpap_ros.mavlink.link_report import LinkReport
 from jpap_ros.mavlink.links import COMPONENT_ID, Link, LinkHub, Packet, Peer
 from jpap_ros.mavlink.routing import Forwarder
 from jpap_ros.mavlink.sightings import Sightings
 from jpap_ros.mavlink.snapshot import AircraftSnapshot, snapshot_of
-from jpap_ros.mavlink.streams import affordable_rates
 from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT
 
 HEARTBEAT_S = 1.0
@@ -41,6 +41,8 @@ TICK_HZ = 10.0
 STATUSTEXT_BYTES = 50
 #: Messages taken in before a look at what is due.
 PACKETS_AT_ONCE = 50
+#: What goes over all links of a vehicle while the one in use is doubtful: a gap would end PX4's OFFBOARD.
+GAPLESS = frozenset({mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT})
 #: How long an orderly stop waits for PX4 to answer the switch to Hold [s].
 PARTING_S = 2.0
 
@@ -167,7 +169,10 @@ class FleetController:
         self._stations = links.stations
         self._announced = 0
         self._forwarder = Forwarder(self._hub, own, links.stations)
-        budgets = {link.url: _budget(link, settings.aircraft.setpoint_rate_hz) for link in config.vehicle_links}
+        self._rates = {
+            links.vehicles[link.url]: LinkRates(link, settings.aircraft.setpoint_rate_hz)
+            for link in config.vehicle_links
+        }
         frame = LocalFrame(config.origin)
         self._members: dict[str, _Member] = {}
         for i, uav in enumerate(config.uavs):
@@ -178,9 +183,8 @@ class FleetController:
                 own,
                 partial(self._send, uav.name),
                 self._deadman,
-                budgets[uav.urls[0]][0],
+                self._rates[links.vehicles[uav.urls[0]]].rates_hz(None),
             )
-            aircraft.link_problem = budgets[uav.urls[0]][1]
             member = _Member(aircraft, [links.vehicles[url] for url in uav.urls], settings.aircraft.link_timeout_s)
             # Spread over the period, so that targets do not leave in a burst.
             member.tick_at = time.monotonic() + self._tick_s * i / len(config.uavs)
@@ -346,6 +350,7 @@ class FleetController:
             self._heartbeat_at = now + HEARTBEAT_S
             self._beat()
             self._link_reports = tuple(LinkReport.of(link, now) for link in self._hub.links)
+            self._adapt(now)
         if now < self._tick_due_at:
             return
         if self._traffic is not None and now >= self._traffic_at:
@@ -369,6 +374,20 @@ class FleetController:
         traffic.step(now, fleet)
         for name, member in self._members.items():
             member.aircraft.way_closed = traffic.held(name)
+
+    def _adapt(self, now: float) -> None:
+        """Fit the telemetry of each link to what is measured on it."""
+        reports = dict(zip(self._hub.links, self._link_reports, strict=True))
+        for link, rates in self._rates.items():
+            report = reports[link]
+            bytes_per_s = report.received_bytes_per_s + report.sent_bytes_per_s
+            served = [m.aircraft for m in self._members.values() if m.route is not None and m.route[0] is link]
+            autopilots = [aircraft.autopilot for aircraft in served if aircraft.autopilot is not None]
+            changed = rates.adapt(bytes_per_s, report.loss, autopilots, now)
+            for aircraft in served:
+                aircraft.link_problem = rates.problem(bytes_per_s)
+                if changed:
+                    aircraft.want_telemetry(rates.rates_hz(aircraft.autopilot))
 
     def _beat(self) -> None:
         beat = mavlink.MAVLink_heartbeat_message(
@@ -402,6 +421,7 @@ class FleetController:
         source = message.get_srcSystem(), message.get_srcComponent()
         now = packet.received_at
         route = packet.link, packet.peer
+        member.sightings.alive(route, now)
         if (
             message.get_type() == "HEARTBEAT"
             and source[1] == AUTOPILOT_COMPONENT
@@ -421,7 +441,9 @@ class FleetController:
             self._tell(member)
 
     def _reroute(self, member: _Member, now: float) -> None:
-        member.route = member.sightings.route(now)
+        before, member.route = member.route, member.sightings.route(now)
+        if before is not None and member.route is not None and before[0] is not member.route[0]:
+            member.aircraft.want_telemetry(self._rates[member.route[0]].rates_hz(member.aircraft.autopilot))
         sharing = member.sightings.duplicates(now)
         where = ", ".join(f"{peer} on {link}" for link, peer in sharing)
         sysid = member.aircraft.config.sysid
@@ -445,7 +467,11 @@ class FleetController:
             self._on_snapshot(snapshot)
 
     def _send(self, name: str, message: Any) -> bool:
-        route = self._members[name].route
+        member = self._members[name]
+        route = member.route
+        if message.get_msgId() in GAPLESS:
+            for link, peer in member.sightings.stand_ins(time.monotonic()):
+                self._hub.send(link, message, peer)
         return route is not None and self._hub.send(route[0], message, route[1])
 
     def _part(self) -> None:
@@ -459,18 +485,6 @@ class FleetController:
                 self._receive(packet)
             for member in self._members.values():
                 member.aircraft.tick(time.monotonic())
-
-
-def _budget(link: LinkConfig, setpoint_hz: float) -> tuple[dict[int, float], str]:
-    """Telemetry rates for the aircraft on a link, and what is wrong if it cannot even carry their targets."""
-    signed = link.signing_key_file is not None
-    rates, overloaded = affordable_rates(link.max_bytes_per_s, len(link.uavs), setpoint_hz, signed)
-    if not overloaded:
-        return rates, ""
-    return rates, (
-        f"{link.url} carries {link.max_bytes_per_s:g} byte/s, too little for heartbeats and {setpoint_hz:g} targets a "
-        f"second to {len(link.uavs)} aircraft: lower setpoint_rate_hz or use more links"
-    )
 
 
 def _tower(traffic: TrafficControl, settings: AircraftSettings) -> Tower:

@@ -12,7 +12,7 @@ from jpap_ros.fleet.tower import CLIMB_TOLERANCE_M, Hindrance, Tower, Turn
 from jpap_ros.mavlink.aircraft import Aircraft, Procedure, ProcedureFailed
 from jpap_ros.mavlink.authority import Holder
 from jpap_ros.mavlink.autopilots import Autopilot, TargetError, Transport
-from jpap_ros.mavlink.commands import Command, Outcome
+from jpap_ros.mavlink.commands import ANSWER_TIMEOUT_S, Command, Outcome
 from jpap_ros.mavlink.vehicle import LinkState
 
 #: A mode asked for must show in the heartbeat within this [s].
@@ -34,8 +34,8 @@ Place = tuple[float, float, float]
 def launch(aircraft: Aircraft, delay_s: float = 0.0, tower: Tower | None = None, turn: Turn | None = None) -> Procedure:
     """Take an aircraft from the ground into the air, or back from a pilot, and open it to the planner's goals.
 
-    Arming and take-off are sent once each: without an answer the heartbeat and the landed state decide, and nothing
-    is sent late.
+    Without an answer to arming or take-off the heartbeat and the landed state decide: either is sent again only while
+    they show that it was not done, and only for some seconds, so that nothing is sent late.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def _arm(aircraft: Aircraft) -> Wait:
     if aircraft.vehicle.armed:
         return
     began = aircraft.now
-    outcome = yield from _command(aircraft, _autopilot(aircraft).arm())
+    outcome = yield from _command(aircraft, _autopilot(aircraft).arm(), lambda sent_at: aircraft.vehicle.armed)
     if outcome.accepted or outcome.result is None:
         armed = yield from _until(aircraft, lambda: aircraft.vehicle.armed, ARMED_TIMEOUT_S)
         if armed:
@@ -320,9 +320,18 @@ def _take_off(aircraft: Aircraft, height_m: float) -> Wait:
     except TargetError as error:
         raise ProcedureFailed(f"take off: {error}") from None
     aircraft.authority.expect({aircraft.mode, *autopilot.takeoff_modes}, aircraft.now)
-    outcome = yield from _command(aircraft, command)
+    rising = (mavlink.MAV_LANDED_STATE_TAKEOFF, mavlink.MAV_LANDED_STATE_IN_AIR)
+    mode_before = aircraft.mode
+
+    def begun(sent_at: float) -> bool | None:
+        """Whether it takes off; the heartbeat or the landed state must be younger than what was sent."""
+        if vehicle.landed_state in rising or aircraft.mode != mode_before:
+            return True
+        certain = vehicle.armed and vehicle.on_ground and vehicle.landed_at > sent_at + ANSWER_TIMEOUT_S
+        return False if certain else None
+
+    outcome = yield from _command(aircraft, command, begun)
     if not outcome.accepted:
-        rising = (mavlink.MAV_LANDED_STATE_TAKEOFF, mavlink.MAV_LANDED_STATE_IN_AIR)
         left = outcome.result is None and (
             yield from _until(aircraft, lambda: vehicle.landed_state in rising, MODE_TIMEOUT_S)
         )
@@ -381,8 +390,10 @@ def _change_mode(aircraft: Aircraft, command: Command, mode: str, meanwhile: fro
     aircraft.authority.expect({mode}, aircraft.now)
 
 
-def _command(aircraft: Aircraft, command: Command) -> Generator[None, None, Outcome]:
-    pending = aircraft.commands.start(command, aircraft.now)
+def _command(
+    aircraft: Aircraft, command: Command, done: Callable[[float], bool | None] | None = None
+) -> Generator[None, None, Outcome]:
+    pending = aircraft.commands.start(command, aircraft.now, done)
     while pending.outcome is None:
         yield
     if pending.outcome.result is None:

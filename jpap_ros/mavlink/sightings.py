@@ -7,6 +7,10 @@ from typing import Generic, TypeVar
 
 Address = TypeVar("Address", bound=Hashable)
 
+#: A link that was silent for so long is doubtful: what may not have gaps goes over the others too [s]. With the time
+#: between two targets it stays below the second after which PX4 leaves OFFBOARD.
+DOUBT_S = 0.5
+
 
 class Sightings(Generic[Address]):
     """Addresses from which one system id beats, most preferred link first.
@@ -28,6 +32,12 @@ class Sightings(Generic[Address]):
         self.silent_after_s = silent_after_s
         self._heard: dict[int, dict[Address, float]] = {}
         self._contested: set[int] = set()
+        self._last: dict[Address, float] = {}
+
+    def alive(self, address: Address, now: float) -> None:
+        """Take any message from an address that beats."""
+        if address in self._last:
+            self._last[address] = now
 
     def heard(self, link: int, address: Address, now: float) -> None:
         """Take a heartbeat from an address on a link (a number; the lowest is preferred)."""
@@ -36,7 +46,7 @@ class Sightings(Generic[Address]):
         if address in on_link and next(reversed(on_link)) != address:
             self._contested.add(link)
         on_link.pop(address, None)
-        on_link[address] = now
+        on_link[address] = self._last[address] = now
 
     def duplicates(self, now: float) -> tuple[Address, ...]:
         """Addresses that share the id on one link; empty in good order."""
@@ -51,16 +61,26 @@ class Sightings(Generic[Address]):
         # The oldest address on the link: a newcomer is served once the former has fallen silent.
         return next(iter(self._heard[min(self._heard)]))
 
+    def stand_ins(self, now: float) -> tuple[Address, ...]:
+        """Addresses on the other links, to be sent to as well while the route is doubtful; else none."""
+        route = self.route(now)
+        if route is None or now - self._last[route] <= DOUBT_S:
+            return ()
+        places = (next(iter(self._heard[link])) for link in sorted(self._heard))
+        return tuple(place for place in places if place != route)
+
     def forget(self) -> None:
         """Start again, after a reboot."""
         self._heard.clear()
         self._contested.clear()
+        self._last.clear()
 
     def _expire(self, now: float) -> None:
         for link, on_link in list(self._heard.items()):
             for address, at in list(on_link.items()):
                 if now - at > self.silent_after_s:
                     del on_link[address]
+                    self._last.pop(address, None)
             if len(on_link) < 2:
                 self._contested.discard(link)
             if not on_link:

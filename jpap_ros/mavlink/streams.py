@@ -10,7 +10,6 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from jpap_ros.mavlink.budget import Budget, Stream, frame_size
 from jpap_ros.mavlink.commands import Command, CommandChannel, Pending
 
 
@@ -40,46 +39,14 @@ _DATA_STREAMS_HZ = {
     mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: 2,
     mavlink.MAV_DATA_STREAM_EXTRA3: 1,
 }
-#: Without a position for this long everything is asked for again: a reboot forgets what was asked before [s].
+#: Without a position for this long, and this many of its periods, everything is asked for again: a reboot forgets
+#: what was asked before [s].
 SILENCE_S = 3.0
+SILENCE_PERIODS = 5.0
+#: A change of a rate by a smaller share is not worth the question.
+WORTH_ASKING = 0.1
 #: Pause before what was not answered is asked for again, and between questions for home [s].
 RETRY_S = 5.0
-
-
-def affordable_rates(
-    max_bytes_per_s: float | None, aircraft: int, setpoint_hz: float, signed: bool
-) -> tuple[dict[int, float], bool]:
-    """Rates of telemetry [Hz] that fit on a link beside heartbeats and position targets.
-
-    Parameters
-    ----------
-    max_bytes_per_s : float or None
-        What the link carries in both directions; None: whatever is wanted.
-    aircraft : int
-        That share the link.
-    setpoint_hz : float
-        Position targets a second to each.
-    signed : bool
-
-    Returns
-    -------
-    (dict of int to float, bool)
-        Rates by message id, and whether even heartbeats and targets alone are too much.
-    """
-
-    def stream(message_id: int, wanted: Wanted) -> Stream:
-        size = aircraft * frame_size(message_id, signed)
-        return Stream(message_id, wanted.rate_hz, size, wanted.priority, wanted.min_rate_hz)
-
-    never_slowed = [
-        stream(mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT, Wanted(setpoint_hz, 0.0, 0)),
-        # Both ways.
-        stream(mavlink.MAVLINK_MSG_ID_HEARTBEAT, Wanted(2.0, 0.0, 0)),
-    ]
-    streams = never_slowed + [stream(message_id, wanted) for message_id, wanted in WANTED.items()]
-    allocation = Budget(max_bytes_per_s).allocate(streams)
-    rates = dict(zip(WANTED, allocation.rates_hz[len(never_slowed) :], strict=True))
-    return rates, allocation.overloaded
 
 
 class StreamRequests:
@@ -106,9 +73,9 @@ class StreamRequests:
         self._commands = commands
         self._send = send
         self._target = target
-        self._rates_hz = rates_hz
+        self._rates_hz = dict(rates_hz)
         self._wanted: deque[int] = deque()
-        self._asked: tuple[int, Pending] | None = None
+        self._asked: tuple[int, float, Pending] | None = None
         self._not_before = -math.inf
         self._home_not_before = -math.inf
         self._fell_back = False
@@ -122,6 +89,17 @@ class StreamRequests:
         self._home_not_before = -math.inf
         self._fell_back = False
 
+    def want(self, rates_hz: Mapping[int, float]) -> None:
+        """Ask for other rates, where they differ enough."""
+        for message_id, rate_hz in rates_hz.items():
+            before = self._rates_hz.get(message_id, 0.0)
+            close = abs(rate_hz - before) <= WORTH_ASKING * before and (rate_hz > 0.0) == (before > 0.0)
+            if message_id in self._rates_hz and close:
+                continue
+            self._rates_hz[message_id] = rate_hz
+            if message_id not in self._wanted:
+                self._wanted.append(message_id)
+
     def tick(self, now: float, home_known: bool, position_at: float) -> None:
         """Ask the next question, if it is time.
 
@@ -132,7 +110,9 @@ class StreamRequests:
             When a position was last heard, same clock; minus infinity: never.
         """
         self._take_answer(now)
-        if not self._wanted and now - max(position_at, self._done_at) > SILENCE_S:
+        position_hz = self._rates_hz.get(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 0.0)
+        patience_s = max(SILENCE_S, SILENCE_PERIODS / position_hz) if position_hz > 0.0 else SILENCE_S
+        if not self._wanted and now - max(position_at, self._done_at) > patience_s:
             self.restart()
         if self._wanted and self._asked is None and now >= self._not_before:
             message_id = self._wanted[0]
@@ -141,23 +121,25 @@ class StreamRequests:
             interval_us = round(1e6 / rate_hz) if rate_hz > 0.0 else -1
             words = f"interval of message {message_id}"
             ask = Command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (float(message_id), float(interval_us)), words, True)
-            self._asked = message_id, self._commands.start(ask, now)
+            self._asked = message_id, rate_hz, self._commands.start(ask, now)
         if not home_known and now >= self._home_not_before:
             self._home_not_before = now + RETRY_S
             home_id = float(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
             self._commands.start(Command(mavlink.MAV_CMD_REQUEST_MESSAGE, (home_id,), "home position", True), now)
 
     def _take_answer(self, now: float) -> None:
-        if self._asked is None or (outcome := self._asked[1].outcome) is None:
+        if self._asked is None or (outcome := self._asked[2].outcome) is None:
             return
-        message_id, _ = self._asked
+        message_id, asked_hz, _ = self._asked
         self._asked = None
         if outcome.result is None:
             self._wanted.rotate(-1)
             self._not_before = now + RETRY_S
             return
-        self._wanted.remove(message_id)
         self._done_at = now
+        # It may have been given another rate while the question was under way.
+        if asked_hz == self._rates_hz[message_id]:
+            self._wanted.remove(message_id)
         if outcome.result == mavlink.MAV_RESULT_UNSUPPORTED and not self._fell_back:
             self._fell_back = True
             for stream, rate_hz in _DATA_STREAMS_HZ.items():

@@ -136,6 +136,8 @@ class Vehicle:
         self.armed = False
         self.system_status = mavlink.MAV_STATE_UNINIT
         self.landed_state = mavlink.MAV_LANDED_STATE_UNDEFINED
+        #: When the landed state was last heard, local clock [s].
+        self.landed_at = -math.inf
         self.position: Position | None = None
         self.home: Home | None = None
         self.echo: TargetEcho | None = None
@@ -248,6 +250,7 @@ class Vehicle:
 
     def _extended_sys_state(self, message: Any, now: float) -> None:
         self.landed_state = message.landed_state
+        self.landed_at = now
 
     def _sys_status(self, message: Any, now: float) -> None:
         self.health_known = True

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.mavlink.autopilots.base import AltitudeDatum, Autopilot, Target, TargetError, Transport, register
-from jpap_ros.mavlink.commands import Command
+from jpap_ros.mavlink.commands import ORDER_ATTEMPTS, Command
 from jpap_ros.mavlink.vehicle import Vehicle
 
 _PREFIX = "COPTER_MODE_"
@@ -40,11 +41,14 @@ class ArduPilot(Autopilot):
     land_mode = "LAND"
     stream_lead_s = 0.0
     min_stream_hz = 0.0
+    #: GUID_TIMEOUT, its default.
+    keeps_velocity_s = 3.0
+    unasked_hz: ClassVar[Mapping[int, float]] = {}
 
     def set_mode(self, mode: str) -> Command:
         """DO_SET_MODE with the Copter mode number as custom mode."""
         params = (float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(self.modes[mode]))
-        return Command(mavlink.MAV_CMD_DO_SET_MODE, params, f"mode {mode}", idempotent=True)
+        return Command(mavlink.MAV_CMD_DO_SET_MODE, params, f"mode {mode}", True, attempts=ORDER_ATTEMPTS)
 
     def takeoff(self, vehicle: Vehicle, height_m: float) -> Command:
         """NAV_TAKEOFF; Copter reads its altitude as height above home."""

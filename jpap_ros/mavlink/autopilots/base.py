@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from jpap_ros.mavlink.commands import Command
+from jpap_ros.mavlink.commands import ORDER_ATTEMPTS, Command
 from jpap_ros.mavlink.geodesy import degrees_to_e7
 from jpap_ros.mavlink.vehicle import Vehicle
 
@@ -103,6 +104,10 @@ class Autopilot(ABC):
     stream_lead_s: ClassVar[float]
     #: Least rate of position targets while the goal mode is active [Hz].
     min_stream_hz: ClassVar[float]
+    #: How long a moving target counts after it was sent [s].
+    keeps_velocity_s: ClassVar[float]
+    #: What it sends though nobody asked and the bridge does not need it, by message id [Hz].
+    unasked_hz: ClassVar[Mapping[int, float]]
 
     def mode_name(self, custom_mode: int) -> str:
         """Name of a HEARTBEAT.custom_mode; an unknown one is named by its number."""
@@ -116,26 +121,26 @@ class Autopilot(ABC):
         """MAV_CMD_DO_SET_MODE; KeyError if the name is unknown."""
 
     def arm(self) -> Command:
-        """Arm. Never repeated: a late arm is dangerous."""
+        """Arm. Not idempotent: a late arm is dangerous."""
         return Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), "arm")
 
     def disarm(self) -> Command:
         """Disarm; both autopilots refuse it in the air."""
-        return Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), "disarm", idempotent=True)
+        return Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), "disarm", True, attempts=ORDER_ATTEMPTS)
 
     @abstractmethod
     def takeoff(self, vehicle: Vehicle, height_m: float) -> Command:
-        """Take off to a height above home [m]. Never repeated. TargetError if something needed is unknown."""
+        """Take off to a height above home [m]. Not idempotent. TargetError if something needed is unknown."""
 
     def return_home(self) -> Command:
         """Fly home and land there by the autopilot's own settings."""
-        return Command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, (), "return home", idempotent=True)
+        return Command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, (), "return home", True, attempts=ORDER_ATTEMPTS)
 
     def land(self) -> Command:
         """Land where it is."""
         # Latitude and longitude NaN: the present position.
         params = (0.0, 0.0, 0.0, math.nan, math.nan, math.nan, 0.0)
-        return Command(mavlink.MAV_CMD_NAV_LAND, params, "land", idempotent=True)
+        return Command(mavlink.MAV_CMD_NAV_LAND, params, "land", True, attempts=ORDER_ATTEMPTS)
 
     @abstractmethod
     def frame_and_altitude(self, target: Target, vehicle: Vehicle, datum: AltitudeDatum) -> tuple[int, float]:
@@ -189,7 +194,7 @@ class Autopilot(ABC):
         yaw = math.nan if target.yaw_ned is None else target.yaw_ned
         change_mode = float(mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
         params = (-1.0, change_mode, 0.0, yaw, target.latitude, target.longitude, altitude_m)
-        return Command(mavlink.MAV_CMD_DO_REPOSITION, params, "reposition", idempotent=True, frame=frame)
+        return Command(mavlink.MAV_CMD_DO_REPOSITION, params, "reposition", True, frame, ORDER_ATTEMPTS)
 
 
 REGISTRY: dict[str, Autopilot] = {}

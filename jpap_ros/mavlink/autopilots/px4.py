@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.mavlink.autopilots.base import AltitudeDatum, Autopilot, Target, TargetError, Transport, register
-from jpap_ros.mavlink.commands import Command
+from jpap_ros.mavlink.commands import ORDER_ATTEMPTS, Command
 from jpap_ros.mavlink.vehicle import Vehicle
 
 _AUTO = 4
@@ -58,12 +59,25 @@ class Px4(Autopilot):
     land_mode = "AUTO.LAND"
     stream_lead_s = 1.5
     min_stream_hz = 5.0
+    #: COM_OF_LOSS_T, its default.
+    keeps_velocity_s = 1.0
+    # MAVLINK_MODE_NORMAL of mavlink_main.cpp from 1 Hz on, without what the bridge asks for.
+    unasked_hz: ClassVar[Mapping[int, float]] = {
+        mavlink.MAVLINK_MSG_ID_ATTITUDE: 15.0,
+        mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 5.0,
+        mavlink.MAVLINK_MSG_ID_VFR_HUD: 4.0,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 2.0,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 1.5,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 1.0,
+        mavlink.MAVLINK_MSG_ID_ALTITUDE: 1.0,
+        mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 1.0,
+    }
 
     def set_mode(self, mode: str) -> Command:
         """DO_SET_MODE with main mode and sub mode apart."""
         main, sub = _MODES[mode]
         params = (float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(main), float(sub))
-        return Command(mavlink.MAV_CMD_DO_SET_MODE, params, f"mode {mode}", idempotent=True)
+        return Command(mavlink.MAV_CMD_DO_SET_MODE, params, f"mode {mode}", True, attempts=ORDER_ATTEMPTS)
 
     def takeoff(self, vehicle: Vehicle, height_m: float) -> Command:
         """NAV_TAKEOFF at the present position; PX4 reads its altitude as AMSL."""
