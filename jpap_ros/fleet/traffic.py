@@ -64,10 +64,13 @@ class Setpoint:
         [m].
     velocity : (east, north, up)
         [m/s]; zero at rest.
+    ahead_m : float
+        Way to where it will rest next, in the direction of its velocity [m].
     """
 
     position: Vector
     velocity: Vector = (0.0, 0.0, 0.0)
+    ahead_m: float = math.inf
 
 
 @dataclass(eq=False)
@@ -86,8 +89,8 @@ class _Flight:
     def rest(self, now: float) -> Convoy:
         return self.convoy.rest(now - self.started)
 
-    def place(self, name: str, now: float) -> tuple[Vector, Vector]:
-        """Where a member should be [m], and its velocity [m/s]."""
+    def place(self, name: str, now: float) -> tuple[Vector, Vector, float]:
+        """Where a member should be [m], its velocity [m/s], and its way to the end of the present leg [m]."""
         return self.convoy.place(self.convoy.names.index(name), now - self.started)
 
     def brake(self, now: float) -> None:
@@ -280,7 +283,7 @@ class TrafficControl:
         # Compared with where it should have been when it said where it is; from before the start that means nothing.
         if traveller.position is None or traveller.heard_at <= flight.started:
             return False
-        wanted, _ = flight.place(name, traveller.heard_at)
+        wanted, _, _ = flight.place(name, traveller.heard_at)
         return math.dist(traveller.position, wanted) > self.limits.tracking_error_m
 
     def _obeys(self, name: str) -> bool:

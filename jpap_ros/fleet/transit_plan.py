@@ -134,17 +134,17 @@ class Convoy:
         along = self.waypoints[leg + 1] - self.waypoints[leg]
         return self.waypoints[leg] + s * along, speed * along
 
-    def place(self, index: int, time_s: float) -> tuple[Vector, Vector]:
-        """Position [m] and velocity [m/s] of one aircraft."""
+    def place(self, index: int, time_s: float) -> tuple[Vector, Vector, float]:
+        """Position [m], velocity [m/s] and way to the end of the present leg [m] of one aircraft."""
         leg, elapsed = self._leg(time_s)
         if leg is None:
             east, north, up = self.waypoints[-1, index].tolist()
-            return (east, north, up), (0.0, 0.0, 0.0)
+            return (east, north, up), (0.0, 0.0, 0.0), 0.0
         s, speed = self.laws[leg].at(elapsed)
         (e0, n0, u0), (e1, n1, u1) = self.waypoints[leg : leg + 2, index].tolist()
         along = e1 - e0, n1 - n0, u1 - u0
         velocity = speed * along[0], speed * along[1], speed * along[2]
-        return (e0 + s * along[0], n0 + s * along[1], u0 + s * along[2]), velocity
+        return (e0 + s * along[0], n0 + s * along[1], u0 + s * along[2]), velocity, (1.0 - s) * math.hypot(*along)
 
     def rest(self, time_s: float) -> Convoy:
         """Return what is left of the flight after a time."""

@@ -21,6 +21,7 @@ from jpap_ros.mavlink.autopilots import (
     Transport,
     by_heartbeat,
 )
+from jpap_ros.mavlink.coasting import coasting
 from jpap_ros.mavlink.commands import CommandChannel, Pending
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalLife, GoalState
@@ -34,6 +35,7 @@ from jpap_ros.mavlink.guards import (
     echo_problem,
     target_of,
 )
+from jpap_ros.mavlink.statistics import Traffic
 from jpap_ros.mavlink.streams import StreamRequests
 from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState, Vehicle
 
@@ -168,6 +170,8 @@ class Aircraft:
         self.way_closed = ""
         #: Place above its home where it waits to land, while an operator's order takes it there.
         self.way_home: tuple[float, float, float] | None = None
+        #: Position targets that went out to it, counted by time.
+        self.targets = Traffic()
         #: Whether it flies nowhere but where traffic control wants it.
         self.under_traffic_control = False
         self._frame = frame
@@ -459,15 +463,19 @@ class Aircraft:
             return self._goal_target
         if at_rest and self._rest is not None and self._rest[0] == setpoint:
             return self._rest[1]
+        moving = setpoint
+        if self.autopilot is not None and self.vehicle.clock_rate == 1.0:
+            # A simulation faster than the clock gets too few targets to do without their full velocity.
+            moving = coasting(setpoint, self.autopilot.keeps_velocity_s)
         try:
-            target = target_of(Goal(*setpoint.position), self._frame)
+            target = target_of(Goal(*moving.position), self._frame)
         except GoalRefused:
             # An aircraft nearer to the ground than any goal may be: hold by telemetry.
             return self._hold() or self._sent_target
         if at_rest:
             self._rest = setpoint, target
             return target
-        east, north, up = setpoint.velocity
+        east, north, up = moving.velocity
         return replace(target, velocity_ned_m_s=(north, east, -up))
 
     def _can_send(self) -> bool:
@@ -611,6 +619,7 @@ class Aircraft:
             self._changed_at = self.now
         time_boot_ms = round(self.now * 1e3)
         self._send(self.autopilot.position_target(target, self.vehicle, self.datum, time_boot_ms))
+        self.targets.add(0, self.now)
 
     def _take_reposition_answer(self, pending: Pending) -> None:
         self._reposition = None
