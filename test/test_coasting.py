@@ -1,7 +1,7 @@
 """Targets that may be the last ones.
 
 Oracle: where ArduPilot's documented rule takes an aircraft after a target (on with its velocity for GUID_TIMEOUT, 3 s),
-and a follower that closes in on its target at 0.95 (PX4's MPC_XY_P) to 2 per second (ArduPilot's shaping), stepped here.
+and a follower that closes in on its target at 0.95 (PX4's MPC_XY_P) to 2 per second (ArduPilot's shaping).
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 from jpap_ros.fleet.traffic import Setpoint
 
-#: Rate at which autopilots make good an error of position [1/s]: PX4's MPC_XY_P is 0.95; ArduPilot closes in at the ratio
-#: of PSC_JERK_XY and WPNAV_ACCEL, 2. In between, both are off by less than half of the lead below.
+#: Rate at which autopilots make good an error of position [1/s]: PX4's MPC_XY_P is 0.95; ArduPilot closes in at the
+#: ratio of PSC_JERK_XY and WPNAV_ACCEL, 2. In between, both are off by about half of the lead below, at most.
 POSITION_GAIN = 1.5
 
 
