@@ -154,6 +154,7 @@ class ArduPilotVehicle(SimVehicle):
         if mode == self._mode:
             return
         self._mode = mode
+        self.beat()
         if not self.armed:
             return
         if mode == "LAND":
@@ -221,9 +222,9 @@ class ArduPilotVehicle(SimVehicle):
             elif velocity is None or self.on_ground:
                 self._fly_to(goal, parts.yaw)
             elif self.within_fence(goal):
-                self.manoeuvre = Follow(goal, velocity, parts.yaw, self.now + GUID_TIMEOUT_S)
+                self.manoeuvre = Follow(goal, velocity, parts.yaw, self.patience_s(GUID_TIMEOUT_S))
         elif parts.velocity and not self.on_ground and (velocity := velocity_enu(message)) is not None:
-            self.manoeuvre = FlyAt(velocity, parts.yaw, self.now + GUID_TIMEOUT_S)
+            self.manoeuvre = FlyAt(velocity, parts.yaw, self.patience_s(GUID_TIMEOUT_S))
         else:
             self.hold_here()
 

@@ -68,18 +68,19 @@ class FlyTo(Manoeuvre):
 
 
 class FlyAt(Manoeuvre):
-    """Fly with a velocity (east, north, up) [m/s] until `expires` on the wall clock, then stop."""
+    """Fly with a velocity (east, north, up) [m/s] for `lasts_s` of simulated time, then stop."""
 
-    def __init__(self, velocity: Point, yaw: float | None, expires: float) -> None:
+    def __init__(self, velocity: Point, yaw: float | None, lasts_s: float) -> None:
         self.velocity = velocity
         self.yaw = yaw
-        self.expires = expires
+        self._left_s = lasts_s
 
     def step(self, vehicle: SimVehicle, dt: float) -> None:
         """Keep the velocity."""
         if vehicle.on_ground:
             return
-        vehicle.body.fly_at(self.velocity if vehicle.now < self.expires else (0.0, 0.0, 0.0), dt)
+        vehicle.body.fly_at(self.velocity if self._left_s > 0.0 else (0.0, 0.0, 0.0), dt)
+        self._left_s -= dt
         if self.yaw is not None:
             vehicle.body.turn_to(self.yaw, dt)
         if vehicle.body.z <= 0.0:
@@ -87,7 +88,7 @@ class FlyAt(Manoeuvre):
 
 
 class Follow(Manoeuvre):
-    """Keep up with a moving point: a position target with a velocity, until `expires` on the wall clock, then stop.
+    """Keep up with a moving point: a position target with a velocity. The point moves for a while, and rests then.
 
     Parameters
     ----------
@@ -96,17 +97,18 @@ class Follow(Manoeuvre):
     velocity : tuple of float
         Its velocity (east, north, up) [m/s].
     yaw : float or None
-    expires : float
+    lasts_s : float
+        How long the point moves, simulated time [s].
     """
 
     #: The error in position is made good at this rate, on top of the point's own velocity [1/s].
     GAIN = 2.0
 
-    def __init__(self, goal: Point, velocity: Point, yaw: float | None, expires: float) -> None:
+    def __init__(self, goal: Point, velocity: Point, yaw: float | None, lasts_s: float) -> None:
         self.goal: Point = goal
         self.velocity = velocity
         self.yaw = yaw
-        self.expires = expires
+        self.lasts_s = lasts_s
         self._age_s = 0.0
 
     def step(self, vehicle: SimVehicle, dt: float) -> None:
@@ -114,16 +116,17 @@ class Follow(Manoeuvre):
         body = vehicle.body
         if vehicle.on_ground:
             return
-        if vehicle.now >= self.expires:
-            body.fly_at((0.0, 0.0, 0.0), dt)
-            return
-        # The point moves on the wall clock, the aircraft in simulated time.
-        velocity = tuple(v / vehicle.speedup for v in self.velocity)
+        # On the wire everything is in seconds of the wall clock, the aircraft flies in simulated time.
+        east, north, up = (v / vehicle.speedup for v in self.velocity)
         self._age_s += dt
-        place = [g + v * self._age_s for g, v in zip(self.goal, velocity, strict=True)]
-        error = [p - b for p, b in zip(place, body.position, strict=True)]
-        east, north, up = (v + self.GAIN * e for v, e in zip(velocity, error, strict=True))
-        body.fly_at((east, north, up), dt)
+        moved_s = min(self._age_s, self.lasts_s)
+        place = self.goal[0] + east * moved_s, self.goal[1] + north * moved_s, self.goal[2] + up * moved_s
+        if self._age_s >= self.lasts_s:
+            body.fly_to(place, dt)
+        else:
+            error = [p - b for p, b in zip(place, body.position, strict=True)]
+            wanted = [v + self.GAIN * e for v, e in zip((east, north, up), error, strict=True)]
+            body.fly_at((wanted[0], wanted[1], wanted[2]), dt)
         if self.yaw is not None:
             body.turn_to(self.yaw, dt)
         if body.z <= 0.0:

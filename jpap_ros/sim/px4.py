@@ -34,6 +34,8 @@ _NO_POSITION_NEEDED = ("MANUAL", "ALTCTL", "STABILIZED", "LAND")
 RTL_RETURN_ALT_M = 60.0
 RTL_CONE_SLOPE = 1.0
 NAV_ACC_RAD_M = 2.0
+#: Gain of the position controller: a target at rest with velocity v is overrun by v / MPC_XY_P [1/s].
+MPC_XY_P = 0.95
 #: A goal this far above the ground makes an aircraft in OFFBOARD take off [m].
 _LIFT_OFF_M = 0.3
 
@@ -277,7 +279,7 @@ class Px4Vehicle(SimVehicle):
             if velocity is not None:
                 self.manoeuvre = FlyAt(velocity, parts.yaw, math.inf)
         elif velocity is not None and not self.on_ground:
-            self.manoeuvre = Follow(goal, velocity, parts.yaw, math.inf)
+            self.manoeuvre = Follow(goal, velocity, parts.yaw, self.patience_s(1.0 / MPC_XY_P))
         elif not isinstance(self.manoeuvre, FlyTo) or (self.manoeuvre.goal, self.manoeuvre.yaw) != (goal, parts.yaw):
             self.manoeuvre = FlyTo(goal, parts.yaw)
 

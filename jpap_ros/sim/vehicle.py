@@ -32,6 +32,9 @@ from jpap_ros.sim.received import ReceivedLog
 from jpap_ros.sim.requests import QUESTIONS, REQUESTS
 from jpap_ros.sim.telemetry import BUILDERS
 
+#: A peer that sends targets five times a second of the wall clock is not timed out between two of them, nor by a
+#: little delay [s].
+_TARGET_GAP_S = 0.6
 #: Share of the hovering current that idling motors draw.
 _IDLE_DRAIN = 0.1
 
@@ -216,6 +219,19 @@ class SimVehicle(ABC):
     def boot_us(self) -> int:
         """Simulated time since boot [µs]."""
         return int(self.clock_s * 1e6)
+
+    def patience_s(self, timeout_s: float) -> float:
+        """Simulated time that a moving target lasts for an autopilot's time-out [s].
+
+        It is the aircraft's own, so it does not fly farther than speed times time-out, but for simulations so fast
+        that the time-out would be over before the peer's next target.
+        """
+        return max(timeout_s, _TARGET_GAP_S * self.speedup)
+
+    def beat(self) -> None:
+        """Send a HEARTBEAT now, beside those that are due."""
+        for channel in self.channels:
+            channel.put(BUILDERS[mavlink.MAVLINK_MSG_ID_HEARTBEAT](self))
 
     def attach(self, link_id: int) -> Channel:
         """Open another channel."""
