@@ -26,6 +26,9 @@ def generate_launch_description() -> LaunchDescription:
                 description="Algorithm that makes the deployment, e.g. optimal or jpap",
             ),
             DeclareLaunchArgument("sim", default_value="true", description="Start simulated aircraft: true or false"),
+            DeclareLaunchArgument(
+                "dashboard", default_value="false", description="Serve the page for the browser: true or false"
+            ),
             DeclareLaunchArgument("namespace", default_value="", description="ROS namespace of all nodes"),
             DeclareLaunchArgument(
                 "params_file",
@@ -41,6 +44,7 @@ def generate_launch_description() -> LaunchDescription:
             _include("planner", (*SHARED, "scheme")),
             _include("bridge", SHARED),
             _include("sim", SHARED, condition=IfCondition(LaunchConfiguration("sim"))),
+            _include("dashboard", SHARED, condition=IfCondition(LaunchConfiguration("dashboard"))),
         ]
     )
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
 from jpap_ros.dashboard.event_log import EventLog
-from jpap_ros.dashboard.narrator import device_lines, plan_lines, status_line, vehicle_lines
+from jpap_ros.dashboard.narrator import TROUBLED_GOALS, device_lines, plan_lines, status_line, vehicle_lines
 from jpap_ros.dashboard.records import ERROR, OK, Plan, Point, Pose, Status, Vehicle
 from jpap_ros.planning.devices import Changes, Device
 
@@ -33,41 +33,36 @@ class FleetView:
 
     Parameters
     ----------
-    uavs : mapping of str to str
-        Name of each UAV in the fleet file, and the url of its preferred link.
+    uavs : iterable of str
+        Names in the fleet file.
     log : EventLog
     clock : callable
         Monotonic time [s].
     """
 
-    def __init__(self, uavs: Mapping[str, str], log: EventLog, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, uavs: Iterable[str], log: EventLog, clock: Callable[[], float] = time.monotonic) -> None:
         self.log = log
+        self.names = tuple(uavs)
         self.devices: dict[str, Device] = {}
         self.vehicles: dict[str, Vehicle] = {}
         self.plan: Plan | None = None
-        self._urls = dict(uavs)
         self._clock = clock
         self._poses: dict[str, Pose] = {}
         self._goals: dict[str, Point] = {}
         self._heard: dict[str, float] = {}
-        self._tracks: dict[str, deque[tuple[float, float]]] = {name: deque(maxlen=TRACK_POINTS) for name in uavs}
+        self._tracks: dict[str, deque[tuple[float, float]]] = {name: deque(maxlen=TRACK_POINTS) for name in self.names}
         self._statuses: dict[tuple[str, str], Status] = {}
         self._planners: frozenset[str] = frozenset()
         self._bridges: frozenset[str] = frozenset()
         self._last_data_s: float | None = None
         # What the pages have been told, to tell them only what differs.
-        self._told_uavs: dict[str, Json] = {name: {} for name in uavs}
+        self._told_uavs: dict[str, Json] = {name: {} for name in self.names}
         self._told_devices: dict[str, Json] = {}
         self._told_health: Json = {}
         self._told_event = 0
         self._changed_devices: set[str] = set()
         self._plan_changed = False
         self._told_s = -math.inf
-
-    @property
-    def names(self) -> Collection[str]:
-        """Names of all UAVs of the fleet file."""
-        return self._urls.keys()
 
     # What comes from the graph
 
@@ -118,7 +113,7 @@ class FleetView:
         for cell in self.plan.cells if self.plan is not None else ():
             self._goals.pop(cell.uav, None)
         for cell in plan.cells:
-            if cell.uav in self._urls and all(map(math.isfinite, cell.position)):
+            if cell.uav in self._told_uavs and all(map(math.isfinite, cell.position)):
                 self._goals[cell.uav] = cell.position
         self.plan, self._plan_changed = plan, True
         self._changed_devices |= set(self.devices)
@@ -132,13 +127,23 @@ class FleetView:
             if status.node in self._planners:
                 self._touch("planner")
             self._touch(f"status {status.node} {status.part}")
-            if line := status_line(self._statuses.get(key), status):
+            line = status_line(self._statuses.get(key), status)
+            if line and not self._is_told(status):
                 self.log.add(line[0], "node", line[1])
             self._statuses[key] = status
 
     def set_roles(self, planners: Iterable[str], bridges: Iterable[str]) -> None:
         """Take in which nodes publish the deployment, and which the aircraft's states."""
         self._planners, self._bridges = frozenset(planners), frozenset(bridges)
+
+    def _is_told(self, status: Status) -> bool:
+        """Whether an aircraft's own state says the same, or will: the log must not say it twice."""
+        if status.part not in self._told_uavs:
+            return False
+        vehicle = self.vehicles.get(status.part)
+        if vehicle is None or status.node not in self._bridges:
+            return True
+        return vehicle.link != "connected" or vehicle.goal in TROUBLED_GOALS or vehicle.battery_low
 
     def _touch(self, source: str = "") -> None:
         self._last_data_s = self._clock()
@@ -152,7 +157,7 @@ class FleetView:
         return {
             "type": "snapshot",
             "now": time.time(),
-            "uavs": {name: self._uav(name) for name in self._urls},
+            "uavs": {name: self._uav(name) for name in self.names},
             "tracks": {name: list(track) for name, track in self._tracks.items() if track},
             "devices": {name: self._device(name, self._places()) for name in self.devices},
             "plan": self._plan(),
@@ -164,7 +169,7 @@ class FleetView:
         """What changed since the last call; null for a device that has left. Changes are to be merged by key."""
         delta: Json = {"type": "delta", "now": time.time()}
         uavs = {}
-        for name in self._urls:
+        for name in self.names:
             entry = self._uav(name)
             if changed := _difference(self._told_uavs[name], entry):
                 uavs[name] = changed
@@ -226,17 +231,16 @@ class FleetView:
         return entry
 
     def _link_figures(self, name: str) -> Json:
-        """Age of the aircraft's link [s] and share of its messages lost, as far as the bridge tells."""
-        figures: Json = {"link_age": None, "loss": None}
-        for node in self._bridges:
-            own = self._statuses.get((node, name))
-            link = self._statuses.get((node, f"link {self._urls[name]}"))
-            for status in (link, own):
-                if status is not None:
-                    figures["loss"] = _share(status.values.get("loss [%]"), figures["loss"])
-                    age = _number(status.values.get("link age [s]"))
-                    figures["link_age"] = round(age, 1) if age is not None else figures["link_age"]
-        return figures
+        """Age of the newest heartbeat [s] and share of the aircraft's messages lost, as the bridge tells."""
+        status = next((s for node in self._bridges if (s := self._statuses.get((node, name)))), None)
+        values = status.values if status is not None else {}
+        losses = [_number(value) for key, value in values.items() if key.startswith("loss on ")]
+        known = [loss for loss in losses if loss is not None]
+        age = _number(values.get("heartbeat age [s]"))
+        return {
+            "link_age": None if age is None else 0 if age < _FRESH_S else math.floor(age),
+            "loss": round(max(known) / 100.0, 2) if known else None,
+        }
 
     def _places(self) -> dict[str, tuple[int, float]]:
         """Cell and rate [bit/s] of each device that the plan serves."""
@@ -307,6 +311,7 @@ class FleetView:
                 for (node, part), s in own.items()
                 if s.level != OK
                 and node not in self._planners | self._bridges
+                and part not in self._told_uavs
                 and self._age(f"status {node} {part}") < STALE_AFTER_S
             ][:10],
             "last_data": None if self._last_data_s is None else self._age_of(self._last_data_s),
@@ -348,8 +353,3 @@ def _number(text: str | None) -> float | None:
         return _finite(float(text)) if text is not None else None
     except ValueError:
         return None
-
-
-def _share(percent: str | None, otherwise: float | None) -> float | None:
-    number = _number(percent)
-    return otherwise if number is None else round(number / 100.0, 3)

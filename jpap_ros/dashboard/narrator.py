@@ -7,10 +7,13 @@ from collections.abc import Iterable, Mapping
 
 from jpap_ros.dashboard.event_log import ERROR, INFO, WARNING
 from jpap_ros.dashboard.records import ERROR as ERROR_LEVEL
-from jpap_ros.dashboard.records import OK, WARN, Plan, Status, Vehicle, count
+from jpap_ros.dashboard.records import OK, Plan, Status, Vehicle, count
 
 #: Items named in one line; the rest is counted.
 _NAMED = 5
+
+#: States of a goal that is not flown.
+TROUBLED_GOALS = ("rejected", "yielded", "lost")
 
 Line = tuple[str, str]
 
@@ -22,13 +25,13 @@ def vehicle_lines(name: str, before: Vehicle | None, now: Vehicle) -> list[Line]
     lines = []
     if before.link != now.link:
         lines.append((ERROR if now.link == "lost" else INFO, f"{name}: link {now.link}"))
-    if before.goal != now.goal or (before.reason != now.reason and now.goal in ("rejected", "yielded", "lost")):
+    if before.goal != now.goal or (before.reason != now.reason and now.goal in TROUBLED_GOALS):
         because = f": {now.reason}" if now.reason else ""
         if now.goal == "yielded":
             lines.append((WARNING, f"{name} is no longer ours{because}"))
         elif now.goal in ("rejected", "lost"):
             lines.append((ERROR, f"{name}: goal {now.goal}{because}"))
-        elif before.goal in ("rejected", "yielded", "lost"):
+        elif before.goal in TROUBLED_GOALS:
             lines.append((INFO, f"{name}: goal {now.goal}{because}, was {before.goal}"))
     if before.landed != now.landed and now.landed in ("in air", "on ground") and before.landed != "undefined":
         lines.append((INFO, f"{name} is {'in the air' if now.landed == 'in air' else 'on the ground'}"))
@@ -65,8 +68,8 @@ def status_line(before: Status | None, now: Status) -> Line | None:
         return None
     text = f"{now.node} {now.part}: {now.message}"
     if now.level == OK:
-        return INFO, f"{text} (was {'a warning' if level_before == WARN else 'an error'})"
-    return (ERROR if now.level >= ERROR_LEVEL else WARNING), text
+        return INFO, f"{text} (was {'an error' if level_before == ERROR_LEVEL else 'a warning'})"
+    return (ERROR if now.level == ERROR_LEVEL else WARNING), text
 
 
 def device_lines(changes: Mapping[str, Iterable[str]]) -> list[Line]:

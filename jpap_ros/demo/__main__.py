@@ -56,13 +56,13 @@ def main(arguments: list[str] | None = None) -> int:
     out.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryDirectory(prefix="jpap_demo_") as work:
-            return _play(scenario, Path(work), out, share, console)
+            return _play(scenario, Path(work), out, share, console, options.dashboard)
     except KeyboardInterrupt:
         console.print("stopped", highlight=False)
         return 130
 
 
-def _play(scenario: Scenario, work: Path, out: Path, share: Path, console: Console) -> int:
+def _play(scenario: Scenario, work: Path, out: Path, share: Path, console: Console, port: int | None) -> int:
     started = time.monotonic()
     fleet_file = work / "fleet.yaml"
     write_fleet(fleet_file, ORIGIN, scenario.uavs)
@@ -73,7 +73,9 @@ def _play(scenario: Scenario, work: Path, out: Path, share: Path, console: Conso
         # Ctrl-C is Python's: it ends the scenario, not the graph under it.
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:
-            _start_nodes(children, fleet_file, scenario)
+            _start_nodes(children, fleet_file, scenario, port)
+            if port is not None:
+                console.print(f"dashboard: http://127.0.0.1:{port}/", highlight=False, soft_wrap=True)
             with Live(console=console, refresh_per_second=8, transient=not console.is_terminal) as live:
                 run = Run(scenario, fleet, source, children, live)
                 run.play()
@@ -96,13 +98,15 @@ def _play(scenario: Scenario, work: Path, out: Path, share: Path, console: Conso
     return 0
 
 
-def _start_nodes(children: Children, fleet_file: Path, scenario: Scenario) -> None:
+def _start_nodes(children: Children, fleet_file: Path, scenario: Scenario, port: int | None) -> None:
     programs = Path(get_package_prefix("jpap_ros")) / "lib" / "jpap_ros"
     settings: dict[str, Mapping[str, Any]] = {
         "sim": {"speedup": scenario.speedup, **scenario.sim},
         "bridge": scenario.bridge,
         "planner": scenario.planner,
     }
+    if port is not None:
+        settings["dashboard"] = {"port": port, "exercise": True}
     for name, parameters in settings.items():
         command = [str(programs / name), "--ros-args", "-p", f"fleet_file:={fleet_file}"]
         for key, value in parameters.items():
@@ -133,6 +137,14 @@ def _parse(arguments: list[str] | None, share: Path) -> argparse.Namespace:
     parser.add_argument("--scheme", choices=list(SCHEMES), help="plan with this scheme instead of the scenario's")
     parser.add_argument("--seed", type=int, help="draw other devices and demands than the scenario's")
     parser.add_argument("--speedup", type=float, help="simulated seconds a second, instead of the scenario's")
+    parser.add_argument(
+        "--dashboard",
+        nargs="?",
+        type=int,
+        const=8080,
+        metavar="PORT",
+        help="show the fleet in a browser at this port of 127.0.0.1 (default: 8080)",
+    )
     parser.add_argument("--out", default="out", help="folder for the picture and, on failure, logs (default: out)")
     return parser.parse_args(arguments)
 

@@ -63,9 +63,9 @@ class DashboardNode(Node):
         self._map_frame: str = settings["map_frame"]
         self._inbox = Inbox()
         self._log = EventLog()
-        self._view = FleetView({uav.name: str(uav.urls[0]) for uav in fleet.uavs}, self._log)
+        self._view = FleetView(fleet.names, self._log)
         self._intake = DeviceIntake(self._map_frame, LocalFrame(fleet.origin), self._warn)
-        self._order_clients = {name: self.create_client(FleetCommand, f"bridge/{name}") for name in set(ORDERS.values())}
+        self._bridge = {name: self.create_client(FleetCommand, f"bridge/{name}") for name in set(ORDERS.values())}
         self._replan = self.create_client(Trigger, "planner/replan")
         self._devices_out = self.create_publisher(DeviceUpdate, "devices", DEVICES) if settings["exercise"] else None
         self._serve(settings, fleet)
@@ -164,7 +164,7 @@ class DashboardNode(Node):
 
     async def order(self, service: str, uavs: tuple[str, ...]) -> Outcome:
         """Call a service of the bridge."""
-        answer = await self._call(self._order_clients[service], FleetCommand.Request(uavs=list(uavs)), _ORDER_PATIENCE_S)
+        answer = await self._call(self._bridge[service], FleetCommand.Request(uavs=list(uavs)), _ORDER_PATIENCE_S)
         return answer if isinstance(answer, Outcome) else outcome_of(answer)
 
     async def replan(self) -> Outcome:

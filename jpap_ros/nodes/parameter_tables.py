@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from jpap_ros.nodes.bridge_parameters import bridge_parameters
+from jpap_ros.nodes.dashboard_parameters import dashboard_parameters
 from jpap_ros.nodes.parameters import Param
 from jpap_ros.nodes.planner_parameters import planner_parameters
 from jpap_ros.nodes.sim import sim_parameters
@@ -20,7 +21,12 @@ END = "<!-- end of parameters -->"
 
 def tables() -> str:
     """Return the tables of all nodes."""
-    nodes = {"planner": planner_parameters(), "bridge": bridge_parameters(), "sim": sim_parameters()}
+    nodes = {
+        "planner": planner_parameters(),
+        "bridge": bridge_parameters(),
+        "sim": sim_parameters(),
+        "dashboard": dashboard_parameters(),
+    }
     return "\n".join(f"### `{node}`\n\n{_table(params)}" for node, params in nodes.items())
 
 

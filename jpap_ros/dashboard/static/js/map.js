@@ -33,6 +33,14 @@ export class FleetMap {
     L.control.scale({ imperial: false, position: "bottomright" }).addTo(this.map);
     this.scene = new Scene(this.map, this.frame, store);
     this.placing = false;
+    // Until somebody moves the map, it shows everything, also after the window was turned or resized.
+    this.own = true;
+    for (const gesture of ["pointerdown", "wheel", "keydown"]) {
+      this.map.getContainer().addEventListener(gesture, () => {
+        this.own = false;
+      }, { passive: true });
+    }
+    this.map.on("resize", () => this.own && this.fit());
     this.map.on("click", (event) => {
       if (this.placing) onPlace(...this.frame.toMap(event.latlng));
       else onPick(this.scene.hit(event.containerPoint));
@@ -61,16 +69,13 @@ export class FleetMap {
 
   update(changed) {
     this.scene.update(changed);
-    // The first picture shows everything; from then on the view is the operator's.
-    if (!this.fitted && this.scene.bounds()) {
-      this.fit();
-      this.fitted = this.store.devices.size > 0;
-    }
+    if (this.own && (changed.all || changed.plan || changed.devices.length)) this.fit();
   }
 
   fit() {
+    this.own = true;
     const bounds = this.scene.bounds();
-    if (bounds) this.map.fitBounds(bounds, { padding: [50, 50], maxZoom: this.store.page.tile_url ? 18 : 2, animate: false });
+    if (bounds) this.map.fitBounds(bounds, { padding: [70, 70], maxZoom: this.store.page.tile_url ? 18 : 2, animate: false });
   }
 
   show(east, north) {

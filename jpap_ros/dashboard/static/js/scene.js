@@ -63,8 +63,9 @@ export class Scene {
 
   /** Everything's corners, for the map to show; null if there is nothing. */
   bounds() {
-    const points = [...this.store.devices.values(), ...this.store.uavs.values()].filter((item) => item.x !== undefined);
-    return points.length ? L.latLngBounds(points.map((item) => this.frame.toLatLng(item.x, item.y))) : null;
+    const items = [...this.store.devices.values(), ...this.store.uavs.values()].filter((item) => item.x !== undefined);
+    const points = [...items.map((item) => [item.x, item.y]), ...(this.store.plan?.cells ?? []).map((cell) => cell.at)];
+    return points.length ? L.latLngBounds(points.map(([east, north]) => this.frame.toLatLng(east, north))) : null;
   }
 
   /** Aircraft or device near a point of the map's container, as [kind, name]; null if there is none. */
@@ -187,7 +188,8 @@ export class Scene {
       context.stroke();
       context.setLineDash([]);
     });
-    const small = this.store.devices.size > 300 && this.map.getZoomScale(this.map.getZoom(), 0) * 1 < 1 ? 0.6 : 1;
+    // Many devices on little room are drawn smaller.
+    const small = this.store.devices.size > 300 && view.perMetre < 1 ? 0.6 : 1;
     const highest = Math.max(1e-9, ...[...this.store.devices.values()].map((device) => device.demand));
     for (const [name, device] of this.store.devices) {
       const [x, y] = view.at(...this.#place(name));
@@ -294,7 +296,13 @@ export class Scene {
     context.lineWidth = 3;
     context.strokeStyle = halo;
     context.fillStyle = ink;
+    // Who flies is named first; a name that would lie on another one is left out.
+    const named = [];
+    const rank = ([name, uav]) => (this.selected.has(name) ? 0 : symbols.kindOf(uav) === "ground" ? 2 : 1);
+    drawn.sort((a, b) => rank(a) - rank(b));
     for (const [name, , x, y] of drawn) {
+      if (named.some(([u, v]) => Math.abs(u - x) < 40 && Math.abs(v - y) < 13)) continue;
+      named.push([x, y]);
       context.strokeText(name, x, y + 13);
       context.fillText(name, x, y + 13);
     }

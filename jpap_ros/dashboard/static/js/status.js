@@ -49,6 +49,9 @@ export class StatusPanel {
     const connected = [...this.store.uavs.values()].filter((uav) => uav.link === "connected").length;
     const total = this.store.uavs.size;
     chip("links", !live ? "off" : health.lost.length ? "bad" : connected < total ? "warn" : "good", `${connected}/${total}`);
+    const { others } = health;
+    byId("chip-others").hidden = !others.length;
+    chip("others", others.some((other) => other.error) ? "bad" : "warn", String(others.length), others.map((other) => `${other.node} ${other.part}: ${other.message}`).join("\n"));
     if (health.lost.length) problems.push(`Link lost: ${[...health.lost].sort(natural).join(", ")}.`);
     const quiet = Math.max(0, health.last_data ?? 0) + Math.round((Date.now() - this.heardAt) / 1000);
     byId("last-data").textContent = health.last_data === null ? "no data yet" : `last data ${quiet < 2 ? "now" : `${seconds(quiet)} ago`}`;

@@ -54,7 +54,9 @@ export class Store {
   service(device, id) {
     if (device.reason) return "unserved";
     if (device.cell === null || device.cell === undefined) return "waiting";
-    return this.plan?.interrupted.includes(id) ? "interrupted" : "served";
+    // Interrupted only until the aircraft that serves it has arrived.
+    if (!this.plan?.interrupted.includes(id)) return "served";
+    return this.uavs.get(this.cellOf(device)?.uav)?.goal === "reached" ? "served" : "interrupted";
   }
 
   /** Cell of the plan that serves a device, or that a UAV flies; undefined if there is none. */

@@ -109,7 +109,7 @@ export function goal(context, x, y) {
 
 export function drawLegend(canvas, ink) {
   const scale = window.devicePixelRatio || 1;
-  const [width, height] = [176, 218];
+  const [width, height] = [196, 218];
   canvas.width = width * scale;
   canvas.height = height * scale;
   const context = canvas.getContext("2d");

@@ -64,13 +64,13 @@ export class AircraftTable {
     const cell = this.store.cellOfUav(name);
     write(row.serves, cell ? `${cell.devices} dev · ${rate(cell.rate)}` : "");
     write(row.mode, uav.mode || "–");
-    write(row.armed, uav.emergency ? "EMERGENCY" : [uav.armed ? "armed" : "", uav.landed ?? ""].filter(Boolean).join(", "));
+    write(row.armed, uav.emergency ? "EMERGENCY" : [uav.landed === "undefined" ? "" : uav.landed, uav.armed && uav.landed !== "in air" ? "armed" : ""].filter(Boolean).join(", "));
     write(row.battery, percent(uav.battery));
     mark(row.battery, uav.battery_low ? "bad" : "");
     write(row.link, uav.link === "connected" ? "ok" : uav.link);
     mark(row.link, uav.link === "lost" ? "bad" : uav.link === "connected" ? "good" : "muted");
     const age = Math.max(uav.age ?? 0, uav.link_age ?? 0);
-    const loss = uav.loss === null || uav.loss === undefined ? "" : `${percent(uav.loss)} lost`;
+    const loss = uav.loss >= 0.01 ? `${percent(uav.loss)} lost` : "";
     write(row.figures, [age >= 2 ? `${seconds(age)} old` : "", loss].filter(Boolean).join(" · "));
     write(row.goal, GOALS[uav.goal] ?? "–");
     mark(row.goal, { reached: "good", rejected: "bad", lost: "bad", yielded: "taken" }[uav.goal] ?? "");
