@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Container
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from jpap_msgs.msg import Deployment, VehicleState
+from sensor_msgs.msg import NavSatFix, NavSatStatus
 from std_msgs.msg import Header
 
 from jpap_ros.mavlink.geodesy import yaw_enu_from_ned
@@ -51,6 +53,25 @@ def pose_of(snapshot: AircraftSnapshot, header: Header) -> PoseStamped | None:
             position=Point(x=east, y=north, z=up),
             orientation=Quaternion(x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)),
         ),
+    )
+
+
+def fix_of(snapshot: AircraftSnapshot, stamp: Time) -> NavSatFix | None:
+    """Return where an aircraft is in degrees, with no more said of it than is known; None if it is unknown.
+
+    The vehicle's estimate, GLOBAL_POSITION_INT, tells neither which satellites are behind it nor how good it is. Its
+    height is above mean sea level; this message's is above the ellipsoid, NaN until the vehicle has told both.
+    """
+    position, separation_m = snapshot.position, snapshot.geoid_separation_m
+    if position is None:
+        return None
+    return NavSatFix(
+        header=Header(stamp=stamp, frame_id=snapshot.name),
+        status=NavSatStatus(status=NavSatStatus.STATUS_FIX, service=NavSatStatus.SERVICE_UNKNOWN),
+        latitude=position.latitude,
+        longitude=position.longitude,
+        altitude=math.nan if separation_m is None else position.amsl_m + separation_m,
+        position_covariance_type=NavSatFix.COVARIANCE_TYPE_UNKNOWN,
     )
 
 
