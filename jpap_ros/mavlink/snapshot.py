@@ -17,6 +17,8 @@ class AircraftSnapshot:
     ----------
     name, sysid : str, int
     link : LinkState
+    heartbeat_at : float
+        When a heartbeat was last heard, monotonic [s]; minus infinity: never.
     autopilot, mode : str
         Names; empty while unknown.
     armed : bool
@@ -26,6 +28,10 @@ class AircraftSnapshot:
     position : Position or None
     enu_m : (east, north, up) or None
         In the map frame [m].
+    geoid_separation_m : float or None
+        Height of mean sea level above the ellipsoid [m]; None: unknown.
+    setpoint_rate_hz : float
+        Position targets sent to it a second, over the last seconds.
     goal_state : GoalState
     goal_reason : str
     goal_plan_id : int
@@ -40,6 +46,7 @@ class AircraftSnapshot:
     name: str
     sysid: int
     link: LinkState
+    heartbeat_at: float
     autopilot: str
     mode: str
     armed: bool
@@ -48,6 +55,8 @@ class AircraftSnapshot:
     battery: Battery
     position: Position | None
     enu_m: tuple[float, float, float] | None
+    geoid_separation_m: float | None
+    setpoint_rate_hz: float
     goal_state: GoalState
     goal_reason: str
     goal_plan_id: int
@@ -81,6 +90,7 @@ def snapshot_of(aircraft: Aircraft) -> AircraftSnapshot:
         name=aircraft.config.name,
         sysid=aircraft.config.sysid,
         link=vehicle.link,
+        heartbeat_at=vehicle.heartbeat_at,
         autopilot=aircraft.autopilot.name if aircraft.autopilot else "",
         mode=aircraft.mode,
         armed=vehicle.armed,
@@ -89,6 +99,8 @@ def snapshot_of(aircraft: Aircraft) -> AircraftSnapshot:
         battery=replace(vehicle.battery),
         position=vehicle.position if fresh else None,
         enu_m=aircraft.enu_m if fresh else None,
+        geoid_separation_m=vehicle.geoid_separation_m,
+        setpoint_rate_hz=aircraft.targets.rates(aircraft.now)[0],
         goal_state=life.state,
         goal_reason=life.reason,
         goal_plan_id=aircraft.goal.plan_id if aircraft.goal else 0,

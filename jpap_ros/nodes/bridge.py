@@ -18,6 +18,7 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.task import Future
+from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Header
 
 from jpap_ros.fleet.config import load_fleet
@@ -27,7 +28,7 @@ from jpap_ros.mavlink.plan_files import PlanPicture
 from jpap_ros.mavlink.plan_folder import write_plan
 from jpap_ros.mavlink.snapshot import AircraftSnapshot
 from jpap_ros.mavlink.tlog import TlogFolder
-from jpap_ros.nodes.bridge_conversions import goal_marks, goal_of, pose_of, state_message
+from jpap_ros.nodes.bridge_conversions import fix_of, goal_marks, goal_of, pose_of, state_message
 from jpap_ros.nodes.bridge_diagnostics import aircraft_status, link_status, tlog_status
 from jpap_ros.nodes.bridge_parameters import bridge_parameters, controller_settings
 from jpap_ros.nodes.goal_book import GoalBook
@@ -70,6 +71,7 @@ class BridgeNode(Node):
 
         self._states_out = {n: self.create_publisher(VehicleState, f"{n}/state", LATCHED) for n in self._names}
         self._poses_out = {n: self.create_publisher(PoseStamped, f"{n}/pose", SENSOR_DATA) for n in self._names}
+        self._fixes_out = {n: self.create_publisher(NavSatFix, f"{n}/fix", SENSOR_DATA) for n in self._names}
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._wake = self.create_guard_condition(self._on_wake)
         try:
@@ -239,6 +241,8 @@ class BridgeNode(Node):
         header = Header(stamp=(self.get_clock().now() - age).to_msg(), frame_id=self._map_frame)
         if pose := pose_of(snapshot, header):
             self._poses_out[snapshot.name].publish(pose)
+        if fix := fix_of(snapshot, header.stamp):
+            self._fixes_out[snapshot.name].publish(fix)
 
     def _publish_state(self, snapshot: AircraftSnapshot) -> None:
         self._states_out[snapshot.name].publish(state_message(snapshot, self._header()))
@@ -260,8 +264,10 @@ class BridgeNode(Node):
         for snapshot in self._snapshots.values():
             self._publish_state(snapshot)
         node = self.get_fully_qualified_name()
-        status = [aircraft_status(node, self._snapshots[name]) for name in self._names if name in self._snapshots]
-        status += [link_status(node, report) for report in self._controller.link_reports]
+        reports, now = self._controller.link_reports, time.monotonic()
+        heard = [self._snapshots[name] for name in self._names if name in self._snapshots]
+        status = [aircraft_status(node, snapshot, reports, now) for snapshot in heard]
+        status += [link_status(node, report) for report in reports]
         if self._tlog is not None:
             status.append(tlog_status(node, self._tlog))
         self._diagnostics_out.publish(DiagnosticArray(header=self._header(), status=status))

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from jpap_ros.mavlink.goals import GoalState
 from jpap_ros.mavlink.link_report import LinkReport
 from jpap_ros.mavlink.snapshot import AircraftSnapshot
 from jpap_ros.mavlink.tlog import TlogFolder
-from jpap_ros.mavlink.vehicle import LinkState
+from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState
+
+# Values of MAV_BATTERY_CHARGE_STATE, https://mavlink.io/en/messages/common.html
+MAV_BATTERY_CHARGE_STATE_LOW = 2
+MAV_BATTERY_CHARGE_STATE_CRITICAL = 3
 
 #: Share of messages lost from which a link asks for attention.
 WORRYING_LOSS = 0.2
@@ -16,11 +22,29 @@ WORRYING_LOSS = 0.2
 WORRYING_USE = 1.1
 
 
-def aircraft_status(node: str, snapshot: AircraftSnapshot) -> DiagnosticStatus:
-    """Return the status: ERROR where an aircraft is lost or not served, WARN where something asks for attention."""
-    level, message = _verdict(snapshot)
+def aircraft_status(
+    node: str, snapshot: AircraftSnapshot, reports: Iterable[LinkReport], now_s: float
+) -> DiagnosticStatus:
+    """Return the status of one aircraft, with a message that says what to do.
+
+    STALE while it was never heard; ERROR where it is lost, not served, or its battery is critical; WARN where its goal
+    is not flown or its battery is low.
+
+    Parameters
+    ----------
+    node : str
+        Full name of the bridge.
+    snapshot : AircraftSnapshot
+    reports : iterable of LinkReport
+        Of all links.
+    now_s : float
+        Monotonic time [s].
+    """
+    age_s = now_s - snapshot.heartbeat_at
+    level, message = _verdict(snapshot, age_s)
     figures = {
         "link": snapshot.link.name.lower().replace("_", " "),
+        "heartbeat age [s]": f"{age_s:.1f}",
         "autopilot": snapshot.autopilot or "unknown",
         "mode": snapshot.mode or "unknown",
         "armed": snapshot.armed,
@@ -28,8 +52,16 @@ def aircraft_status(node: str, snapshot: AircraftSnapshot) -> DiagnosticStatus:
         "goal reason": snapshot.goal_reason,
         "goal distance [m]": f"{snapshot.goal_distance_m:.2f}",
         "plan id": snapshot.goal_plan_id,
+        "setpoints sent [1/s]": f"{snapshot.setpoint_rate_hz if snapshot.link is LinkState.CONNECTED else 0.0:.1f}",
         "battery [%]": f"{100 * snapshot.battery.remaining:.0f}",
+        "battery [V]": f"{snapshot.battery.voltage_v:.2f}",
         "reboots": snapshot.reboots,
+    }
+    figures |= {
+        f"loss on {report.url} [%]": f"{100 * loss:.1f}"
+        for report in reports
+        for system, component, loss in report.source_loss
+        if (system, component) == (snapshot.sysid, AUTOPILOT_COMPONENT)
     }
     return DiagnosticStatus(
         level=level,
@@ -91,22 +123,32 @@ def _link_verdict(report: LinkReport) -> tuple[bytes, str]:
             "check the key on the other side, or somebody else is sending"
         )
     if not report.up or report.problem:
-        return DiagnosticStatus.WARN, report.problem or "down"
+        return DiagnosticStatus.WARN, f"{report.problem or 'down'}: check the other end; it is tried again and again"
     if report.loss >= WORRYING_LOSS:
-        return DiagnosticStatus.WARN, f"{100 * report.loss:.0f} % of messages lost"
+        return DiagnosticStatus.WARN, f"{100 * report.loss:.0f} % of messages lost: check antennas and range"
     used = report.received_bytes_per_s + report.sent_bytes_per_s
     if report.max_bytes_per_s is not None and used > WORRYING_USE * report.max_bytes_per_s:
         return DiagnosticStatus.WARN, f"{used:.0f} of {report.max_bytes_per_s:.0f} byte/s used"
     return DiagnosticStatus.OK, "up" if report.peers else "up, nobody heard"
 
 
-def _verdict(snapshot: AircraftSnapshot) -> tuple[bytes, str]:
+def _verdict(snapshot: AircraftSnapshot, age_s: float) -> tuple[bytes, str]:
     if snapshot.link is LinkState.LOST:
-        return DiagnosticStatus.ERROR, "link lost"
+        return DiagnosticStatus.ERROR, (
+            f"not heard for {age_s:.0f} s: check its power and its radio; it is left to its own failsafe"
+        )
     if snapshot.problems:
         return DiagnosticStatus.ERROR, "; ".join(snapshot.problems)
     if snapshot.link is LinkState.NEVER_SEEN:
-        return DiagnosticStatus.WARN, "never heard"
-    if snapshot.goal_state in (GoalState.REJECTED, GoalState.YIELDED, GoalState.LOST):
+        return DiagnosticStatus.STALE, (
+            f"never heard: check its power, and its url and sysid {snapshot.sysid} in the fleet file"
+        )
+    if snapshot.battery.charge_state >= MAV_BATTERY_CHARGE_STATE_CRITICAL:
+        return DiagnosticStatus.ERROR, "battery critical: call bridge/return_home or bridge/land for it"
+    if snapshot.goal_state is GoalState.YIELDED:
+        return DiagnosticStatus.WARN, f"goal yielded: {snapshot.goal_reason}; bridge/launch gives it back"
+    if snapshot.goal_state in (GoalState.REJECTED, GoalState.LOST):
         return DiagnosticStatus.WARN, f"goal {snapshot.goal_state.name.lower()}: {snapshot.goal_reason}"
+    if snapshot.battery.charge_state == MAV_BATTERY_CHARGE_STATE_LOW:
+        return DiagnosticStatus.WARN, "battery low: have another aircraft ready to relieve it"
     return DiagnosticStatus.OK, snapshot.goal_reason or f"goal {snapshot.goal_state.name.lower().replace('_', ' ')}"
