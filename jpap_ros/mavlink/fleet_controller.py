@@ -43,6 +43,8 @@ STATUSTEXT_BYTES = 50
 PACKETS_AT_ONCE = 50
 #: What goes over all links of a vehicle while the one in use is doubtful: a gap would end PX4's OFFBOARD.
 GAPLESS = frozenset({mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT})
+#: Goals of one plan come one after another: what follows within so long is planned for together, up to a limit [s].
+GATHER_S, GATHER_MOST_S = 0.005, 0.03
 #: How long an orderly stop waits for PX4 to answer the switch to Hold [s].
 PARTING_S = 2.0
 
@@ -158,7 +160,8 @@ class FleetController:
         self._tick_due_at = 0.0
         self._link_reports: tuple[LinkReport, ...] = ()
         self._tick_s = 1.0 / max(TICK_HZ, settings.aircraft.setpoint_rate_hz)
-        self._traffic_at = 0.0
+        self._traffic_at = math.inf
+        self._gathering_since: float | None = None
         self._clock_rate = 1.0
         try:
             links = open_links(self._hub, config)
@@ -191,7 +194,10 @@ class FleetController:
             self._members[uav.name] = member
         # Targets that move need a stream of setpoints.
         streams = settings.aircraft.transport is Transport.SETPOINT
-        self._traffic = TrafficControl(settings.traffic) if settings.traffic and streams else None
+        self._traffic = None
+        if settings.traffic and streams:
+            self._traffic = TrafficControl(settings.traffic, on_plan=lambda: self._call(self._look_soon))
+            self._traffic_at = 0.0
         for member in self._members.values():
             member.aircraft.under_traffic_control = self._traffic is not None
         self._tower = None if self._traffic is None else _tower(self._traffic, settings.aircraft)
@@ -272,12 +278,19 @@ class FleetController:
         self._hub.wake()
 
     def _change(self, member: _Member, change: Callable[[], None], now: float) -> None:
+        before = member.aircraft.goal
         change()
+        goal = member.aircraft.goal
         if self._traffic is None:
             self._tick(member, now)
+        elif goal is before or (goal is not None and goal.same_place(before)):
+            self._tell(member)
         else:
-            # Goals of one plan come together: one look at the traffic for all of them, in this same turn.
-            self._traffic_at = member.tick_at = self._tick_due_at = now
+            since = self._gathering_since = now if self._gathering_since is None else self._gathering_since
+            self._traffic_at = min(now + GATHER_S, since + GATHER_MOST_S)
+
+    def _look_soon(self, now: float) -> None:
+        self._traffic_at = min(self._traffic_at, now)
 
     def _begin(self, order: FleetOrder, futures: Mapping[str, Future[OrderResult]], now: float) -> None:
         begun: dict[str, Done] = {}
@@ -339,7 +352,7 @@ class FleetController:
         self._serve()
 
     def _next_due(self) -> float:
-        return min(self._tick_due_at, self._heartbeat_at)
+        return min(self._tick_due_at, self._traffic_at, self._heartbeat_at)
 
     def _serve(self) -> None:
         """Do what was asked for by other threads, and what time asks for."""
@@ -351,11 +364,11 @@ class FleetController:
             self._beat()
             self._link_reports = tuple(LinkReport.of(link, now) for link in self._hub.links)
             self._adapt(now)
+        if self._traffic is not None and now >= self._traffic_at:
+            self._traffic_at, self._gathering_since = now + self._tick_s, None
+            self._direct(self._traffic, now)
         if now < self._tick_due_at:
             return
-        if self._traffic is not None and now >= self._traffic_at:
-            self._traffic_at = now + self._tick_s
-            self._direct(self._traffic, now)
         for member in self._members.values():
             if now >= member.tick_at:
                 member.tick_at = max(member.tick_at + self._tick_s, now)
@@ -371,9 +384,12 @@ class FleetController:
         if limits is not None and abs(rate - self._clock_rate) > 0.1 * self._clock_rate:
             self._clock_rate = rate
             traffic.limits = limits.faster(rate)
-        traffic.step(now, fleet)
+        turned = traffic.step(now, fleet)
         for name, member in self._members.items():
             member.aircraft.way_closed = traffic.held(name)
+        # They do not wait for their regular turns, which stay spread over the period.
+        for name in turned:
+            self._tick(self._members[name], now)
 
     def _adapt(self, now: float) -> None:
         """Fit the telemetry of each link to what is measured on it."""
