@@ -11,6 +11,8 @@ from jpap_ros.fleet.traffic import TrafficControl, Vector
 
 #: An autopilot ends a climb within this of the height that it was told [m].
 CLIMB_TOLERANCE_M = 1.0
+#: An aircraft hovers above its home if it is this near to it, horizontally [m].
+ABOVE_HOME_M = 2.0
 
 
 @dataclass(eq=False)
@@ -95,16 +97,26 @@ class Tower:
         self._departures += given
         return {turn.name: turn for turn in given}
 
-    def arrivals(self, homes: Mapping[str, Vector]) -> dict[str, Turn]:
-        """Give turns to aircraft that are to come home; where homes are close together the first waits lowest."""
-        given = {name: Turn(name, home, None) for name, home in homes.items()}
+    def arrivals(self, fleet: Mapping[str, tuple[Vector, Vector]]) -> dict[str, Turn]:
+        """Give turns to aircraft that are to come home, each with where it is and its home.
+
+        Where homes are close together the nearest to its home waits lowest; one that hovers above its home need not
+        climb to wait.
+        """
+        away_m = {name: math.dist(here[:2], home[:2]) for name, (here, home) in fleet.items()}
+        above = {name for name, distance_m in away_m.items() if distance_m <= ABOVE_HOME_M}
+        order = sorted(fleet, key=lambda name: (0.0, fleet[name][0][2]) if name in above else (away_m[name], 0.0))
+        given = {name: Turn(name, fleet[name][1], None) for name in order}
         self._stack(given)
+        for name in above:
+            turn, up_m = given[name], fleet[name][0][2]
+            turn.altitude_m = up_m if turn.altitude_m is None else min(turn.altitude_m, up_m)
         self._arrivals += given.values()
         return given
 
-    def landing(self, name: str, place: Vector) -> Turn:
-        """Give a turn to an aircraft that is to land where it is."""
-        turn = Turn(name, place, place[2])
+    def landing(self, name: str, ground: Vector) -> Turn:
+        """Give a turn to an aircraft that is to land where it is, on the ground below it."""
+        turn = Turn(name, ground, None)
         self._landings.append(turn)
         return turn
 

@@ -314,13 +314,13 @@ class FleetController:
         if order is FleetOrder.LAUNCH:
             return self._tower.departures({name: pad for name, one in fleet.items() if (pad := one.pad_m) is not None})
         if order is FleetOrder.RETURN_HOME:
-            homes = {
-                name: (math.dist(one.enu_m, home), home)
-                for name, one in fleet.items()
-                if one.vehicle.in_air and one.enu_m is not None and (home := one.home_m) is not None
-            }
-            # Who is there first lands first.
-            return self._tower.arrivals({name: homes[name][1] for name in sorted(homes, key=lambda n: homes[n][0])})
+            return self._tower.arrivals(
+                {
+                    name: (one.enu_m, home)
+                    for name, one in fleet.items()
+                    if one.vehicle.in_air and one.enu_m is not None and (home := one.home_m) is not None
+                }
+            )
         return {}
 
     def _procedure(self, order: FleetOrder, aircraft: Aircraft, delay_s: float, turn: Turn | None) -> Procedure:

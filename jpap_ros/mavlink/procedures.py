@@ -147,9 +147,10 @@ def return_home(aircraft: Aircraft, tower: Tower | None = None, turn: Turn | Non
             return (yield from _leave(aircraft, autopilot.return_home(), autopilot.return_mode, words))
         because = _recall(aircraft, words)
         yield from _open_to_goals(aircraft)
-        turn = turn or tower.arrivals({aircraft.config.name: home})[aircraft.config.name]
+        name = aircraft.config.name
+        turn = turn or tower.arrivals({name: (_here(aircraft), home)})[name]
         aircraft.answer("flies home under traffic control and lands there in its turn")
-        while not _is_above(aircraft, place := tower.waiting_place(turn)):
+        while not _is_at(aircraft, place := tower.waiting_place(turn)):
             aircraft.way_home = place
             aircraft.held_because = because + (f"; waits: {aircraft.way_closed}" if aircraft.way_closed else "")
             yield
@@ -175,7 +176,8 @@ def land(aircraft: Aircraft, tower: Tower | None = None) -> Procedure:
     if tower is None or here is None or not aircraft.vehicle.in_air:
         return (yield from _leave(aircraft, autopilot.land(), autopilot.land_mode, words))
     _recall(aircraft, words)
-    turn = tower.landing(aircraft.config.name, here)
+    home = aircraft.home_m
+    turn = tower.landing(aircraft.config.name, (*here[:2], 0.0 if home is None else min(home[2], 0.0)))
     try:
         yield from _wait_for_turn(aircraft, partial(_landing_hindrance, aircraft, tower, turn), "land")
         return (yield from _touch_down(aircraft, words))
@@ -183,12 +185,9 @@ def land(aircraft: Aircraft, tower: Tower | None = None) -> Procedure:
         tower.leave(turn)
 
 
-def _is_above(aircraft: Aircraft, place: Place | None) -> bool:
-    """Whether it is where it should wait, or hovers lower above its home: that is as good, without a climb."""
-    here, near_m = aircraft.enu_m, aircraft.settings.arrival_radius_m
-    if here is None or place is None or math.dist(here[:2], place[:2]) > near_m:
-        return False
-    return abs(here[2] - place[2]) <= near_m or (here[2] < place[2] and aircraft.way_home is None)
+def _is_at(aircraft: Aircraft, place: Place | None) -> bool:
+    here = aircraft.enu_m
+    return here is not None and place is not None and math.dist(here, place) <= aircraft.settings.arrival_radius_m
 
 
 def _here(aircraft: Aircraft) -> Place:
