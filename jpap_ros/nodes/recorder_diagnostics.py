@@ -1,0 +1,32 @@
+"""How recording goes, as a diagnostic status that says what to do."""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from jpap_ros.nodes.recorder_writer import WriterReport
+
+
+def recording_status(node: str, report: WriterReport, topics: int, dropping: bool) -> DiagnosticStatus:
+    """Return the status: ERROR while nothing is recorded, WARN while a slow disk costs messages."""
+    if report.problem:
+        level, message = DiagnosticStatus.ERROR, f"not recording: {report.problem}; make room, it goes on by itself"
+    elif dropping:
+        level, message = DiagnosticStatus.WARN, "the disk is too slow: messages are dropped; record fewer topics"
+    else:
+        level, message = DiagnosticStatus.OK, f"recording to {report.path}"
+    figures = {
+        "file": report.path or "none",
+        "topics": topics,
+        "messages": report.messages,
+        "bytes": report.bytes,
+        "messages dropped": report.dropped,
+        "messages lost": report.lost,
+        "bytes waiting": report.pending_bytes,
+    }
+    return DiagnosticStatus(
+        level=level,
+        name=f"{node}: recording",
+        message=message,
+        values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
+    )
