@@ -102,3 +102,11 @@ def test_a_file_that_cannot_be_written_is_an_error(stored, tmp_path):
 
 def test_nothing_but_the_file_is_left_behind(stored):
     assert [path.name for path in stored[0].parent.iterdir()] == ["plan.json"]
+
+
+def test_cells_can_be_given_to_those_that_are_nearest_now(stored):
+    # Oracle: each aircraft hovers in a cell; whoever that is takes it, whatever the file says.
+    path, plan = stored
+    there = [Aircraft(f"v{i}", cell.position) for i, cell in enumerate(reversed(plan.cells))]
+    renamed = load_plan(path, ORIGIN).renamed([*FLEET, *there])
+    assert {cell.uav: cell.position for cell in renamed.cells} == {craft.name: craft.position for craft in there}

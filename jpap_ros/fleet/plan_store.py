@@ -52,6 +52,10 @@ class StoredPlan:
         held = [craft for craft in aircraft if craft.name in holders.values()]
         return named_plan(self.live, self.settings, held, holders)
 
+    def renamed(self, aircraft: Sequence[Aircraft]) -> FleetPlan:
+        """Return the same cells for whoever is nearest: where the names may be out of date."""
+        return named_plan(self.live, self.settings, [craft for craft in aircraft if craft.available], {})
+
 
 def save_plan(
     path: Path, origin: MapOrigin, plan_id: int, devices: Sequence[Device], settings: PlanSettings, plan: FleetPlan

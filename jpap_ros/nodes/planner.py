@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Iterable, Sequence
@@ -26,7 +27,7 @@ from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.fleet.events import Events
 from jpap_ros.fleet.plan import SLOW_SCHEMES, PlanSettings, Weighed, with_crew
-from jpap_ros.fleet.plan_store import PlanStoreError, load_plan, save_plan
+from jpap_ros.fleet.plan_store import PlanStoreError, StoredPlan, load_plan, save_plan
 from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.nodes import planner_conversions as conversions
@@ -51,6 +52,12 @@ from jpap_ros.planning.devices import Changes, Device
 
 #: How often the fleet's life is looked after [s].
 _LIFE_PERIOD_S = 0.5
+
+#: After a restart, how long to wait for the aircraft's states before the first plan [s]: DDS finds a killed node's
+#: successor within a few seconds.
+_SETTLE_S = 5.0
+#: How often to look whether they have come [s].
+_SETTLE_PERIOD_S = 0.1
 
 #: At the end, how long to wait for a plan that is being made [s].
 _STOP_PATIENCE_S = 2.0
@@ -85,6 +92,9 @@ class PlannerNode(ManagedNode):
         self._weighed: Request | None = None
         self._planned_with: PlanSettings | None = None
         self._asked: list[Future] = []
+        #: The plan of a planner before this one, until enough is known to go on from it.
+        self._restored: StoredPlan | None = None
+        self._settle_by_s = -math.inf
         self._keeper: FleetKeeper | None = None
         self._roster: Roster | None = None
         self._planned_for = 0
@@ -143,7 +153,25 @@ class PlannerNode(ManagedNode):
         self._intake.restore(stored.devices)
         self._health.plan_id, self._planned_with = stored.plan_id, stored.settings
         self._health.plan = stored.plan(self._all_aircraft())
+        self._restored = stored
         self._events.add(f"planner restarted, going on from plan {stored.plan_id}")
+
+    def _settled(self) -> bool:
+        """Whether planning may begin: after a restart, once every aircraft has said what it follows, or some time."""
+        restored = self._restored
+        if restored is None:
+            return True
+        if len(self._states) < len(self._fleet.names) and time.monotonic() < self._settle_by_s:
+            return False
+        self._restored = None
+        if self._health.plan_id > restored.plan_id:
+            news = f"aircraft follow plan {self._health.plan_id}, newer than plan {restored.plan_id} of the state file"
+            self.get_logger().warning(f"{news}: its cells go to whoever is nearest")
+            self._events.add(news)
+            self._health.plan = restored.renamed(self._all_aircraft())
+            if self._keeper is not None:
+                self._keeper.forget_crew()
+        return True
 
     def _store(self, plan: FleetPlan, devices: Sequence[Device], settings: PlanSettings) -> None:
         if not self._settings["state_file"]:
@@ -163,6 +191,7 @@ class PlannerNode(ManagedNode):
             f"listening to {topics}; {len(self._fleet.names)} UAVs of {self._settings['fleet_file']}, "
             f"scheme {self._settings['scheme']}"
         )
+        self._settle_by_s = time.monotonic() + _SETTLE_S
         if self._events:
             self._touch()
 
@@ -176,7 +205,7 @@ class PlannerNode(ManagedNode):
         self._events = Events()
         self._states.clear()
         self._health = PlannerHealth(plan_id=self._health.plan_id)
-        self._weighed = self._planned_with = None
+        self._weighed = self._planned_with = self._restored = None
 
     def destroy_node(self) -> None:
         """Stop planning and leave the graph."""
@@ -216,7 +245,7 @@ class PlannerNode(ManagedNode):
 
     def _on_life(self) -> None:
         """Look after the fleet; plan anew where its life changes what can be served."""
-        if not self.active:
+        if not self.active or self._restored is not None:
             return
         roster, plan = self._keep_fleet(self._health.plan), self._health.plan
         news = list(roster.events)
@@ -281,6 +310,9 @@ class PlannerNode(ManagedNode):
 
     def _on_quiet(self) -> None:
         if not self.active or not self._events:
+            return
+        if not self._settled():
+            self._quiet.touch(time.monotonic(), _SETTLE_PERIOD_S, _SETTLE_PERIOD_S)
             return
         if self._in_work is not None:
             self._overdue = True

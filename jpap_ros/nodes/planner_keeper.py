@@ -49,6 +49,7 @@ class FleetKeeper:
     def __init__(self, node: Node, uavs: Iterable[str], policy: FleetPolicy, crew: Mapping[int, str]) -> None:
         self._node = node
         self._uavs = tuple(uavs)
+        self._policy = policy
         self._life = FleetLife(policy, crew)
         self._clients = {order: node.create_client(FleetCommand, name) for order, name in _SERVICES.items()}
         self._sent_home: set[str] = set()
@@ -71,6 +72,10 @@ class FleetKeeper:
         for action in roster.actions:
             self._order(action)
         return roster
+
+    def forget_crew(self) -> None:
+        """Find out anew who flies for which cell."""
+        self._life = FleetLife(self._policy, {})
 
     def close(self) -> None:
         """Leave the bridge's services alone from now on."""
