@@ -223,6 +223,7 @@ class RecordingWriter:
         self._file.close()
         self._bytes_before += self._file.size
         self._file = None
+        self._count()
 
     def _stop(self, problem: str, lost: int) -> None:
         if self._file is not None:
