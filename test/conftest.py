@@ -51,7 +51,7 @@ def own_ports(ros_domain: int) -> Iterator[int]:
     return itertools.cycle(PORTS[first : first + each])
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def free_ports(own_ports: Iterator[int]) -> Callable[[int], list[int]]:
     """Return a function that finds n ports free for both UDP and TCP on loopback."""
 

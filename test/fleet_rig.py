@@ -28,7 +28,6 @@ GROUND = (0.0, 0.0)
 #: Far beyond what anything here takes on an idle machine.
 PATIENCE_S = 60.0
 SPEEDUP = 10.0
-AUTOPILOTS = ("ardupilot", "px4")
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
 
@@ -60,8 +59,9 @@ class Watch:
         assert newest is not None
         return newest
 
-    def until_goal(self, name: str, state: GoalState) -> AircraftSnapshot:
-        return self.until(name, lambda s: s.goal_state is state)
+    def until_goal(self, name: str, state: GoalState, plan_id: int | None = None) -> AircraftSnapshot:
+        """Wait for a state of the goal, of a certain plan or of any."""
+        return self.until(name, lambda s: s.goal_state is state and plan_id in (None, s.goal_plan_id))
 
     def goal_states(self, name: str) -> list[GoalState]:
         """Goal states in the order they were seen, repetitions left out."""
@@ -96,6 +96,14 @@ class Rig:
                 for i, port in enumerate(ports, 1)
             ),
         )
+
+    def mixed(self, **uavs: dict[str, Any]) -> FleetConfig:
+        """A fleet of aircraft by name, each with keys of the fleet file; 50 m apart unless said otherwise."""
+        made = []
+        for i, ((name, keys), port) in enumerate(zip(uavs.items(), self._free_ports(len(uavs)), strict=True)):
+            defaults = {"urls": (LinkUrl("udpin", "127.0.0.1", port),), "home_m": (50.0 * i, 0.0)}
+            made.append(UavConfig(name, i + 1, **{**defaults, **keys}))
+        return FleetConfig(ORIGIN, tuple(made))
 
     def fly(self, fleet: FleetConfig, options: Any = None) -> SimFleet:
         return self._stack.enter_context(SimFleet(fleet, speedup=SPEEDUP, options=options))

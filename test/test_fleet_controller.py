@@ -1,7 +1,7 @@
 """The fleet controller against simulated vehicles over real sockets on loopback.
 
 Oracle: the simulated vehicle's own record of where it is (`position`, which the bridge does not see) and of what
-reached it (`received`).
+reached it (`received`). One controller serves most tests.
 """
 
 from __future__ import annotations
@@ -11,15 +11,13 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
 from fleet_rig import (
     ARM,
-    AUTOPILOTS,
     GROUND,
-    ORIGIN,
     PATIENCE_S,
     TAKEOFF,
     Rig,
@@ -32,14 +30,16 @@ from fleet_rig import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from jpap_ros.fleet.config import FleetConfig, LinkUrl
+from jpap_ros.fleet.config import LinkUrl
 from jpap_ros.fleet.fence import Fence
 from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder, OrderResult
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.mavlink.guards import GoalLimits
 from jpap_ros.mavlink.vehicle import LinkState
-from jpap_ros.sim import VehicleOptions
+from jpap_ros.sim import SimFleet, VehicleOptions
+
+AUTOPILOTS = ("ardupilot", "px4")
 
 
 @pytest.fixture
@@ -48,76 +48,120 @@ def rig(free_ports: Callable[[int], list[int]]) -> Iterator[Rig]:
         yield Rig(stack, free_ports)
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_launch_fly_hold_and_return(rig: Rig, autopilot: str) -> None:
-    fleet = rig.fleet(2, autopilot=autopilot)
-    sim, controller = rig.launched(fleet)
-    goals = {"uav1": Goal(30.0, 40.0, 50.0, plan_id=7), "uav2": Goal(-25.0, 10.0, 35.0, plan_id=7)}
+@dataclass(frozen=True)
+class Sky:
+    """Vehicles in the air, launched together; each test has some of its own."""
+
+    rig: Rig
+    sim: SimFleet
+    controller: FleetController
+
+
+@pytest.fixture(scope="module")
+def sky(free_ports: Callable[[int], list[int]]) -> Iterator[Sky]:
+    with ExitStack() as stack:
+        rig = Rig(stack, free_ports)
+        own = {
+            f"{purpose}_{autopilot}": {"autopilot": autopilot, **keys}
+            for purpose, keys in {"tour": {}, "sent": {}, "amsl": {"altitude_datum": "amsl"}}.items()
+            for autopilot in AUTOPILOTS
+        }
+        fleet = rig.mixed(**own, limited={}, stopped={}, double={})
+        double = fleet.uavs[-1]
+        second = LinkUrl("tcp", "127.0.0.1", *rig.ports(1))
+        fleet = replace(fleet, uavs=(*fleet.uavs[:-1], replace(double, urls=(*double.urls, second))))
+        limits = GoalLimits(Fence(center_m=GROUND, radius_m=5000.0, max_height_m=100.0), max_jump_m=3500.0)
+        yield Sky(rig, *rig.launched(fleet, limits=limits))
+
+
+def test_launch_fly_hold_and_return(sky: Sky) -> None:
+    watch, names = sky.rig.watch, ("tour_ardupilot", "tour_px4", "sent_ardupilot", "sent_px4")
+    places = [(30.0, 40.0, 50.0), (-25.0, 10.0, 35.0), (130.0, 30.0, 40.0), (110.0, -30.0, 45.0)]
+    goals = {name: Goal(*place, plan_id=7) for name, place in zip(names, places, strict=True)}
     for name, goal in goals.items():
-        controller.set_goal(name, goal)
+        sky.controller.set_goal(name, goal)
     for name, goal in goals.items():
-        snapshot = rig.watch.until_goal(name, GoalState.REACHED)
+        snapshot = watch.until_goal(name, GoalState.REACHED)
         assert snapshot.goal_plan_id == 7 and snapshot.goal_distance_m <= 1.0
-        assert distance(sim[name], goal) < 1.5
-        seen = rig.watch.goal_states(name)
+        assert distance(sky.sim[name], goal) < 1.5
+        seen = watch.goal_states(name)
         flight = seen[seen.index(GoalState.SENT) :]
         # At ten times the speed an echo may come after the first progress.
         assert flight == sorted(flight) and flight[-1] is GoalState.REACHED
-        assert len(commands(sim[name], ARM)) == len(commands(sim[name], TAKEOFF)) == 1
+        assert len(commands(sky.sim[name], ARM)) == len(commands(sky.sim[name], TAKEOFF)) == 1
 
-    results = order(controller, FleetOrder.HOLD, fleet.names)
+    results = order(sky.controller, FleetOrder.HOLD, names)
     assert all(result.success for result in results.values()), results
-    controller.set_goal("uav1", Goal(300.0, 0.0, 50.0))
-    held = rig.watch.until("uav1", lambda s: s.goal_state is GoalState.NONE and "held by the operator" in s.goal_reason)
-    assert held.link is LinkState.CONNECTED
-    assert distance(sim["uav1"], goals["uav1"]) < 1.5
+    tour, sent = names[:2], names[2:]
+    for name in tour:
+        sky.controller.set_goal(name, Goal(300.0, 0.0, 50.0))
+        held = watch.until(name, lambda s: s.goal_state is GoalState.NONE and "held by the operator" in s.goal_reason)
+        assert held.link is LinkState.CONNECTED
+        assert distance(sky.sim[name], goals[name]) < 1.5
 
-    results = order(controller, FleetOrder.RETURN_HOME, ("uav2",))
-    assert results["uav2"].success, results
-    assert rig.watch.now("uav2").mode in ("RTL", "AUTO.RTL")
-    rig.watch.until("uav2", lambda s: not s.armed)
-    assert math.dist(sim["uav2"].position, (20.0, 0.0, 0.0)) < 1.5
+    results = order(sky.controller, FleetOrder.RETURN_HOME, sent)
+    assert all(result.success for result in results.values()), results
+    for name, home in zip(sent, ((100.0, 0.0, 0.0), (150.0, 0.0, 0.0)), strict=True):
+        watch.until(name, lambda s: not s.armed)
+        assert {"RTL", "AUTO.RTL"} & {seen.mode for seen in watch.history[name]}
+        assert math.dist(sky.sim[name].position, home) < 1.5
 
-    assert order(controller, FleetOrder.LAUNCH, ("uav1",))["uav1"].success
-    rig.watch.until_goal("uav1", GoalState.EN_ROUTE)
+    assert all(result.success for result in order(sky.controller, FleetOrder.LAUNCH, tour).values())
+    for name in tour:
+        watch.until_goal(name, GoalState.EN_ROUTE)
 
 
 @pytest.mark.parametrize(
     ("goal", "words"),
     [
-        (Goal(600.0, 0.0, 50.0), "outside"),
+        (Goal(6000.0, 0.0, 50.0), "outside"),
         (Goal(0.0, 0.0, 300.0), "height"),
         (Goal(math.nan, 0.0, 50.0), "east_m must be finite"),
-        (Goal(0.0, 450.0, 50.0), "max_goal_jump_m"),
+        (Goal(0.0, 4500.0, 50.0), "max_goal_jump_m"),
     ],
 )
-def test_a_goal_that_must_not_be_flown_never_reaches_the_wire(rig: Rig, goal: Goal, words: str) -> None:
-    fleet = rig.fleet()
-    limits = GoalLimits(Fence(center_m=GROUND, radius_m=500.0, max_height_m=100.0), max_jump_m=300.0)
-    sim, controller = rig.launched(fleet, limits=limits)
-    controller.set_goal("uav1", Goal(50.0, 0.0, 50.0))
-    rig.watch.until_goal("uav1", GoalState.REACHED)
-    with sim["uav1"].lock:
-        sim["uav1"].received.clear()
-    controller.set_goal("uav1", goal)
-    rejected = rig.watch.until_goal("uav1", GoalState.REJECTED)
+def test_a_goal_that_must_not_be_flown_never_reaches_the_wire(sky: Sky, goal: Goal, words: str) -> None:
+    vehicle, watch = sky.sim["limited"], sky.rig.watch
+    sky.controller.set_goal("limited", Goal(350.0, 0.0, 50.0))
+    watch.until_goal("limited", GoalState.REACHED)
+    with vehicle.lock:
+        vehicle.received.clear()
+    sky.controller.set_goal("limited", goal)
+    rejected = watch.until_goal("limited", GoalState.REJECTED)
     assert words in rejected.goal_reason
-    until(lambda: len(setpoints(sim["uav1"])) >= 3, "the stream goes on, for holding")
-    for message in setpoints(sim["uav1"]):
-        here = sim["uav1"].frame.to_map(message.lat_int / 1e7, message.lon_int / 1e7)
-        assert math.dist((*here, message.alt), (50.0, 0.0, 50.0)) < 2.0
+    until(lambda: len(setpoints(vehicle)) >= 3, "the stream goes on, for holding")
+    for message in setpoints(vehicle):
+        here = vehicle.frame.to_map(message.lat_int / 1e7, message.lon_int / 1e7)
+        assert math.dist((*here, message.alt), (350.0, 0.0, 50.0)) < 2.0
 
 
-def test_no_goal_any_more_means_hold(rig: Rig) -> None:
-    fleet = rig.fleet()
-    sim, controller = rig.launched(fleet)
-    controller.set_goal("uav1", Goal(3000.0, 0.0, 50.0))
-    rig.watch.until_goal("uav1", GoalState.EN_ROUTE)
-    controller.clear_goal("uav1", "no cell in plan 8")
-    cleared = rig.watch.until_goal("uav1", GoalState.NONE)
+def test_no_goal_any_more_means_hold(sky: Sky) -> None:
+    sky.controller.set_goal("stopped", Goal(3000.0, 0.0, 50.0))
+    sky.rig.watch.until_goal("stopped", GoalState.EN_ROUTE)
+    sky.controller.clear_goal("stopped", "no cell in plan 8")
+    cleared = sky.rig.watch.until_goal("stopped", GoalState.NONE)
     assert cleared.goal_reason == "no cell in plan 8" and math.isnan(cleared.goal_distance_m)
-    until(lambda: math.hypot(*velocity(sim["uav1"])) < 0.1, "it stands in the air")
-    assert sim["uav1"].position[0] < 2000.0
+    until(lambda: math.hypot(*velocity(sky.sim["stopped"])) < 0.1, "it stands in the air")
+    assert sky.sim["stopped"].position[0] < 2000.0
+
+
+def test_heights_above_mean_sea_level(sky: Sky) -> None:
+    names = ("amsl_ardupilot", "amsl_px4")
+    for name in names:
+        sky.controller.set_goal(name, Goal(220.0, 0.0, 40.0))
+    for name in names:
+        sky.rig.watch.until_goal(name, GoalState.REACHED)
+        # Ground at the origin's 20 m, goal 40 m above it.
+        assert {(m.coordinate_frame, round(m.alt, 3)) for m in setpoints(sky.sim[name])[-1:]} == {(5, 60.0)}
+        assert distance(sky.sim[name], Goal(220.0, 0.0, 40.0)) < 1.5
+
+
+def test_a_vehicle_with_two_links_gets_everything_once(sky: Sky) -> None:
+    goal = Goal(430.0, 40.0, 50.0)
+    sky.controller.set_goal("double", goal)
+    assert sky.rig.watch.until_goal("double", GoalState.REACHED).problems == ()
+    assert distance(sky.sim["double"], goal) < 1.5
+    assert [m.command for m in commands(sky.sim["double"])] == [mavlink.MAV_CMD_DO_SET_MODE, ARM, TAKEOFF]
 
 
 @pytest.mark.parametrize("kind", ["udpin", "udpout", "tcp"])
@@ -135,34 +179,32 @@ def test_any_order_of_starting_on_any_link(rig: Rig, kind: str, bridge_first: bo
 
 
 def test_goals_by_reposition_command(rig: Rig) -> None:
-    fleet = rig.fleet(1)
+    """Neither autopilot is sent a setpoint; PX4 takes goals in Hold."""
+    fleet = rig.mixed(ardupilot={"autopilot": "ardupilot"}, px4={"autopilot": "px4"})
     sim, controller = rig.launched(fleet, transport=Transport.REPOSITION)
-    goal = Goal(40.0, 30.0, 30.0)
-    controller.set_goal("uav1", goal)
-    rig.watch.until_goal("uav1", GoalState.REACHED)
-    assert distance(sim["uav1"], goal) < 1.5
-    assert setpoints(sim["uav1"]) == []
+    for goal in (Goal(40.0, 30.0, 30.0, plan_id=1), Goal(10.0, -20.0, 40.0, plan_id=2)):
+        for name in fleet.names:
+            controller.set_goal(name, goal)
+        for name in fleet.names:
+            snapshot = rig.watch.until_goal(name, GoalState.REACHED, goal.plan_id)
+            assert snapshot.goal_distance_m <= 1.0 and distance(sim[name], goal) < 1.5
+    for name, mode in (("ardupilot", "GUIDED"), ("px4", "HOLD")):
+        assert sim[name].mode == mode and setpoints(sim[name]) == []
+        sent = commands(sim[name], mavlink.MAV_CMD_DO_REPOSITION)
+        assert [m.get_type() for m in sent] == ["COMMAND_INT"] * len(sent) and len(sent) >= 2
+        assert len(commands(sim[name], ARM)) == len(commands(sim[name], TAKEOFF)) == 1
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_heights_above_mean_sea_level(rig: Rig, autopilot: str) -> None:
-    fleet = rig.fleet(autopilot=autopilot, altitude_datum="amsl")
+def test_how_aircraft_are_left_when_the_bridge_stops(rig: Rig) -> None:
+    fleet = rig.mixed(ardupilot={"autopilot": "ardupilot"}, px4={"autopilot": "px4"})
     sim, controller = rig.launched(fleet)
-    controller.set_goal("uav1", Goal(20.0, 0.0, 40.0))
-    rig.watch.until_goal("uav1", GoalState.REACHED)
-    # Ground at the origin's 20 m, goal 40 m above it.
-    assert {(m.coordinate_frame, round(m.alt, 3)) for m in setpoints(sim["uav1"])[-1:]} == {(5, 60.0)}
-    assert distance(sim["uav1"], Goal(20.0, 0.0, 40.0)) < 1.5
-
-
-@pytest.mark.parametrize(("autopilot", "left_in"), [("ardupilot", "GUIDED"), ("px4", "HOLD")])
-def test_how_aircraft_are_left_when_the_bridge_stops(rig: Rig, autopilot: str, left_in: str) -> None:
-    fleet = rig.fleet(autopilot=autopilot)
-    sim, controller = rig.launched(fleet)
-    controller.set_goal("uav1", Goal(30.0, 0.0, 30.0))
-    rig.watch.until_goal("uav1", GoalState.REACHED)
+    for name in fleet.names:
+        controller.set_goal(name, Goal(30.0, 0.0, 30.0))
+    for name in fleet.names:
+        rig.watch.until_goal(name, GoalState.REACHED)
     controller.close()
-    assert (sim["uav1"].mode, sim["uav1"].armed) == (left_in, True)
+    for name, left_in in (("ardupilot", "GUIDED"), ("px4", "HOLD")):
+        assert (sim[name].mode, sim[name].armed) == (left_in, True)
 
 
 def test_an_order_replaces_the_one_before(rig: Rig) -> None:
@@ -194,18 +236,6 @@ def test_the_bridges_heartbeat(rig: Rig) -> None:
         assert (beat.get_srcSystem(), beat.get_srcComponent()) == (245, 191)
         assert (beat.type, beat.autopilot) == (mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID)
     assert times[2] - times[0] > 1.5, "1 Hz"
-
-
-def test_a_vehicle_with_two_links_gets_everything_once(rig: Rig) -> None:
-    one = rig.fleet().uavs[0]
-    second = rig.fleet(kind="tcp").uavs[0].urls
-    fleet = FleetConfig(ORIGIN, (replace(one, urls=one.urls + second),))
-    sim, controller = rig.launched(fleet)
-    goal = Goal(30.0, 40.0, 50.0)
-    controller.set_goal("uav1", goal)
-    assert rig.watch.until_goal("uav1", GoalState.REACHED).problems == ()
-    assert distance(sim["uav1"], goal) < 1.5
-    assert [m.command for m in commands(sim["uav1"])] == [mavlink.MAV_CMD_DO_SET_MODE, ARM, TAKEOFF]
 
 
 def test_ground_stations_are_told_in_words_by_the_aircrafts_onboard_computer(rig: Rig) -> None:
