@@ -57,6 +57,34 @@ def test_hand_worked_instance() -> None:
     assert found.average_uav_rate == pytest.approx((both + 2 * LINK.max_rate) / 3, abs=1e-3)
 
 
+def test_hand_worked_instance_of_both_readings_of_epa() -> None:
+    """Two devices 110 m apart, w = 2^r - 1 = 1 and 1/2, P_T eta = 1e4 m^2, H^2 = 2500 m^2, P_T = 1 mW.
+
+    d^0, (5): sqrt(1e4 - 2500) = 86.6 m and sqrt(2e4 - 2500) = 132.3 m, so each is in the 2 d^0 of the other; device 0
+    demands more, so k_0 = 0. Both, with half the power each, (5): d_0 = sqrt(5000 - 2500) = 50 m and
+    d_1 = sqrt(1e4 - 2500) = 86.6 m. With own radii 50 + 86.6 >= 110: one UAV, from 23.4 to 50 m from device 0. With the smaller for both,
+    50 + 50 < 110: two UAVs. QDPA, (10), (11): P = 2/3 and 1/3 mW, d_sv = sqrt(1e4 / 1.5 - 2500) = 64.5 m, and
+    2 * 64.5 >= 110: one UAV, from 45.5 to 64.5 m from device 0.
+    """
+    link = LinkBudget(transmit_power_dbm=0, noise_power_dbm=-70)
+    positions, rates = [[0, 0], [0, 110]], [1.0, math.log2(1.5)]
+    own, common, qdpa = (solve(positions, rates, scheme, link) for scheme in ("jpap_epa", "jpap_epa_common", "jpap"))
+    assert [cells(found) for found in (own, common, qdpa)] == [[[0, 1]], [[0], [1]], [[0, 1]]]
+    assert own.power_w == pytest.approx([0.5e-3, 0.5e-3])
+    assert common.power_w == pytest.approx([1e-3, 1e-3])
+    assert qdpa.power_w == pytest.approx([2e-3 / 3, 1e-3 / 3])
+    assert own.coverage_radius_m is None
+    assert common.coverage_radius_m == pytest.approx([math.sqrt(7500), math.sqrt(17500)])
+    assert qdpa.coverage_radius_m == pytest.approx([math.sqrt(1e4 / 1.5 - 2500)])
+    assert 110 - math.sqrt(7500) <= own.uav_positions[0, 1] <= 50
+    assert 110 - 64.6 <= qdpa.uav_positions[0, 1] <= 64.6
+    # (1), (3): each rate from where the UAV hovers.
+    for found in (own, qdpa):
+        q = np.array([found.uav_positions[0, 1], 110 - found.uav_positions[0, 1]]) ** 2 + 2500
+        assert found.rate == pytest.approx(np.log2(1 + found.power_w * 1e7 / q))
+    assert common.rate == pytest.approx([math.log2(1 + 1e4 / 2500)] * 2)
+
+
 def test_the_dense_boundary_device_goes_first() -> None:
     # Device 0 is the one with the largest a and alone; device 3, with the smallest a, has two neighbours.
     found = solve([[1000, 0], [-980, 10], [-980, -10], [-1000, 0]], [16.0] * 4)
