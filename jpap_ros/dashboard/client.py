@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import time
 
-from aiohttp import web
+from aiohttp import WSCloseCode, web
 
 #: Messages that may wait for a page to read; with more it is dropped, and connects anew if it lives.
 MAX_WAITING = 50
@@ -52,6 +52,10 @@ class Client:
         self._allowance = min(_BURST, self._allowance + _RATE * (now - self._counted_s)) - 1.0
         self._counted_s = now
         return self._allowance >= 0.0
+
+    async def say_goodbye(self) -> None:
+        """Tell the page that the server ends; it may try again later."""
+        await self._socket.close(code=WSCloseCode.GOING_AWAY, message=b"the dashboard was stopped")
 
     async def close(self) -> None:
         """Stop sending."""

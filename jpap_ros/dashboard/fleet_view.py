@@ -217,6 +217,7 @@ class FleetView:
             "battery": None if vehicle.battery is None else round(vehicle.battery, 2),
             "battery_low": vehicle.battery_low,
             "goal": vehicle.goal,
+            "taken_over": vehicle.taken_over,
             "plan_id": vehicle.plan_id,
             "reason": vehicle.reason,
             "distance": None if vehicle.distance_m is None else _tenth(vehicle.distance_m),

@@ -27,8 +27,10 @@ def vehicle_lines(name: str, before: Vehicle | None, now: Vehicle) -> list[Line]
         lines.append((ERROR if now.link == "lost" else INFO, f"{name}: link {now.link}"))
     if before.goal != now.goal or (before.reason != now.reason and now.goal in TROUBLED_GOALS):
         because = f": {now.reason}" if now.reason else ""
-        if now.goal == "yielded":
-            lines.append((WARNING, f"{name} is no longer ours{because}"))
+        if now.taken_over:
+            lines.append((WARNING, f"{name} was taken over{because}"))
+        elif now.goal == "yielded":
+            lines.append((INFO, f"{name} {now.reason}"))
         elif now.goal in ("rejected", "lost"):
             lines.append((ERROR, f"{name}: goal {now.goal}{because}"))
         elif before.goal in TROUBLED_GOALS:

@@ -72,6 +72,14 @@ class Vehicle:
     reason: str = ""
     distance_m: float | None = None
 
+    @property
+    def taken_over(self) -> bool:
+        """Whether a pilot, a ground station or a failsafe has it.
+
+        What the operator's own order took from the planner has yielded too; only the reason tells the two apart.
+        """
+        return self.goal == "yielded" and "operator" not in self.reason
+
 
 @dataclass(frozen=True)
 class PlannedCell:

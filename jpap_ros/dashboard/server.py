@@ -184,6 +184,7 @@ class DashboardServer:
         """Stop listening and say goodbye to the pages."""
         if self._server is not None:
             self._server.close()
+        await asyncio.gather(*(client.say_goodbye() for client in self._clients))
         if self._runner is not None:
             await self._runner.cleanup()
 
@@ -313,7 +314,7 @@ class DashboardServer:
         if isinstance(request, OrderRequest) and request.action == "give_back":
             for name in request.uavs:
                 vehicle = self._view.vehicles.get(name)
-                if vehicle is None or vehicle.goal != "yielded":
+                if vehicle is None or not vehicle.taken_over:
                     return f"{name} was not taken over: there is nothing to give back"
                 # On the ground bridge/launch would make it take off.
                 if vehicle.landed != "in air":

@@ -30,7 +30,7 @@ class ServerThread:
         self._server = server
         self._failed = failed
         self._begun = threading.Event()
-        self._loop = asyncio.new_event_loop()
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[None] | None = None
         self._thread = threading.Thread(target=self._run, name="dashboard server", daemon=True)
 
@@ -43,25 +43,26 @@ class ServerThread:
 
     def stop(self) -> None:
         """Stop the server and wait for its end."""
-        if self._thread.is_alive() and self._task is not None:
-            self._loop.call_soon_threadsafe(self._task.cancel)
-        self._thread.join()
+        if self._loop is not None and self._task is not None:
+            # The loop may have ended by a fault.
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._task.cancel)
+        if self._thread.ident is not None:
+            self._thread.join()
 
     def _run(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        self._task = self._loop.create_task(self._serve())
         try:
             with contextlib.suppress(asyncio.CancelledError):
-                self._loop.run_until_complete(self._task)
+                asyncio.run(self._serve())
         except BaseException as error:
             self.failure = error
             if self._begun.is_set():
                 self._failed()
         finally:
-            self._loop.close()
             self._begun.set()
 
     async def _serve(self) -> None:
+        self._loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
         try:
             await self._server.start()
             self._begun.set()

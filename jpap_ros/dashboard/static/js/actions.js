@@ -68,7 +68,7 @@ export class Actions {
 
   #targets(action) {
     const names = [...(this.selected.size ? this.selected : this.store.uavs.keys())].sort(natural);
-    return action === "give_back" ? names.filter((name) => this.store.uavs.get(name)?.goal === "yielded") : names;
+    return action === "give_back" ? names.filter((name) => this.store.uavs.get(name)?.taken_over) : names;
   }
 
   #report(verb, answer) {

@@ -75,7 +75,7 @@ export class FleetMap {
   fit() {
     this.own = true;
     const bounds = this.scene.bounds();
-    if (bounds) this.map.fitBounds(bounds, { padding: [70, 70], maxZoom: this.store.page.tile_url ? 18 : 2, animate: false });
+    if (bounds) this.map.fitBounds(bounds, { padding: [40, 40], maxZoom: this.store.page.tile_url ? 18 : 2, animate: false });
   }
 
   show(east, north) {

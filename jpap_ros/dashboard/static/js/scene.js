@@ -63,9 +63,21 @@ export class Scene {
 
   /** Everything's corners, for the map to show; null if there is nothing. */
   bounds() {
+    const reach = this.#reach();
     const items = [...this.store.devices.values(), ...this.store.uavs.values()].filter((item) => item.x !== undefined);
-    const points = [...items.map((item) => [item.x, item.y]), ...(this.store.plan?.cells ?? []).map((cell) => cell.at)];
+    const points = [...items.map((item) => [item.x, item.y]), ...(this.store.plan?.cells ?? []).flatMap(({ at }, i) => [[at[0] - reach[i], at[1] - reach[i]], [at[0] + reach[i], at[1] + reach[i]]])];
     return points.length ? L.latLngBounds(points.map(([east, north]) => this.frame.toLatLng(east, north))) : null;
+  }
+
+  /** Radius of each cell [m]: the scheme's own, else as far as its farthest device. */
+  #reach() {
+    const cells = this.store.plan?.cells ?? [];
+    const reach = cells.map((cell) => cell.radius ?? 0);
+    for (const device of this.store.devices.values()) {
+      const cell = this.store.cellOf(device);
+      if (cell && cell.radius === null) reach[device.cell] = Math.max(reach[device.cell], Math.hypot(device.x - cell.at[0], device.y - cell.at[1]));
+    }
+    return reach;
   }
 
   /** Aircraft or device near a point of the map's container, as [kind, name]; null if there is none. */
@@ -156,13 +168,14 @@ export class Scene {
     this.#drawFence(context, view);
     const cells = this.store.plan?.cells ?? [];
     const seen = (x, y, reach) => x > -reach && y > -reach && x < width + reach && y < height + reach;
+    const radii = this.#reach();
     const members = cells.map(() => []);
     for (const [name, device] of this.store.devices) {
       if (device.cell !== null && device.cell !== undefined) members[device.cell]?.push(view.at(...this.#place(name)));
     }
     cells.forEach((cell, i) => {
       const [x, y] = view.at(...this.#world(cell.at[0], cell.at[1]));
-      const reach = cell.radius ? cell.radius * view.perMetre : Math.max(...members[i].map(([dx, dy]) => Math.hypot(dx - x, dy - y)), 0);
+      const reach = radii[i] * view.perMetre;
       if (!seen(x, y, reach + 20)) return;
       if (this.layers.coverage && reach > 0) {
         context.beginPath();

@@ -6,7 +6,7 @@ export const COLOURS = {
   interrupted: "#e69f00",
   waiting: "#8a929c",
   uav: "#0072b2",
-  yielded: "#a8508a",
+  taken: "#a8508a",
   lost: "#d55e00",
   ground: "#7b8794",
 };
@@ -36,11 +36,11 @@ export function device(context, service, x, y, r) {
   context.stroke();
 }
 
-/** What a UAV's symbol says of it: lost, yielded, ground or uav. */
+/** What a UAV's symbol says of it: lost, taken, ground or uav. */
 export function kindOf(uav) {
   if (uav.link === "lost" || uav.goal === "lost") return "lost";
   if (uav.landed === "on ground" || uav.landed === "undefined" || uav.landed === undefined) return "ground";
-  return uav.goal === "yielded" ? "yielded" : "uav";
+  return uav.taken_over ? "taken" : "uav";
 }
 
 export function uav(context, kind, x, y, headingDeg, selected) {
@@ -65,10 +65,10 @@ export function uav(context, kind, x, y, headingDeg, selected) {
     context.restore();
     return;
   }
-  if (kind === "yielded") {
+  if (kind === "taken") {
     context.beginPath();
     context.arc(0, 0, 14, 0, 2 * Math.PI);
-    context.strokeStyle = COLOURS.yielded;
+    context.strokeStyle = COLOURS.taken;
     context.stroke();
     context.strokeStyle = "#fff";
   }
@@ -123,7 +123,7 @@ export function drawLegend(canvas, ink) {
     ["Waiting for a plan", (y) => device(context, "waiting", 16, y, 6)],
     ["UAV in the air", (y) => uav(context, "uav", 16, y, 0, false)],
     ["On the ground", (y) => uav(context, "ground", 16, y, 0, false)],
-    ["Taken over", (y) => uav(context, "yielded", 16, y, 0, false)],
+    ["Taken over", (y) => uav(context, "taken", 16, y, 0, false)],
     ["Link lost", (y) => uav(context, "lost", 16, y, 0, false)],
     ["Goal and way to it", (y) => {
       goal(context, 11, y);

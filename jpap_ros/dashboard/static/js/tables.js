@@ -4,7 +4,7 @@ import { clock, metres, natural, percent, rate, seconds } from "./format.js";
 import { kindOf } from "./symbols.js";
 
 const SHOWN_DEVICES = 250;
-const GOALS = { none: "no goal", sent: "sent", accepted: "accepted", "en route": "en route", reached: "reached", rejected: "rejected", yielded: "taken over", lost: "lost" };
+const GOALS = { none: "no goal", sent: "sent", accepted: "accepted", "en route": "en route", reached: "reached", rejected: "rejected", yielded: "stood down", lost: "lost" };
 const SERVICE = { served: "served", interrupted: "interrupted", unserved: "not served", waiting: "waiting" };
 
 const byId = (id) => document.getElementById(id);
@@ -52,6 +52,7 @@ export class AircraftTable {
     const [link, figures] = [big(cells[4]), small(cells[4])];
     const [goal, reason] = [big(cells[5]), small(cells[5])];
     const away = big(cells[6]);
+    reason.className = "reason";
     cells[6].className = "number";
     tr.append(...cells);
     this.rows.set(name, { tr, box, serves, mode, armed, battery, link, figures, goal, reason, away });
@@ -72,9 +73,10 @@ export class AircraftTable {
     const age = Math.max(uav.age ?? 0, uav.link_age ?? 0);
     const loss = uav.loss >= 0.01 ? `${percent(uav.loss)} lost` : "";
     write(row.figures, [age >= 2 ? `${seconds(age)} old` : "", loss].filter(Boolean).join(" · "));
-    write(row.goal, GOALS[uav.goal] ?? "–");
-    mark(row.goal, { reached: "good", rejected: "bad", lost: "bad", yielded: "taken" }[uav.goal] ?? "");
+    write(row.goal, uav.taken_over ? "taken over" : GOALS[uav.goal] ?? "–");
+    mark(row.goal, uav.taken_over ? "taken" : { reached: "good", rejected: "bad", lost: "bad" }[uav.goal] ?? "");
     write(row.reason, uav.reason ?? "");
+    if (row.reason.title !== uav.reason) row.reason.title = uav.reason ?? "";
     write(row.away, metres(uav.goal === "none" ? null : uav.distance));
     const kind = kindOf(uav);
     if (row.tr.dataset.kind !== kind) row.tr.dataset.kind = kind;
