@@ -62,9 +62,9 @@ def test_hand_worked_instance_of_both_readings_of_epa() -> None:
 
     d^0, (5): sqrt(1e4 - 2500) = 86.6 m and sqrt(2e4 - 2500) = 132.3 m, so each is in the 2 d^0 of the other; device 0
     demands more, so k_0 = 0. Both, with half the power each, (5): d_0 = sqrt(5000 - 2500) = 50 m and
-    d_1 = sqrt(1e4 - 2500) = 86.6 m. With own radii 50 + 86.6 >= 110: one UAV, from 23.4 to 50 m from device 0. With the smaller for both,
-    50 + 50 < 110: two UAVs. QDPA, (10), (11): P = 2/3 and 1/3 mW, d_sv = sqrt(1e4 / 1.5 - 2500) = 64.5 m, and
-    2 * 64.5 >= 110: one UAV, from 45.5 to 64.5 m from device 0.
+    d_1 = sqrt(1e4 - 2500) = 86.6 m. With own radii 50 + 86.6 >= 110: one UAV, from 23.4 to 50 m from device 0. With
+    the smaller for both, 50 + 50 < 110: two UAVs. QDPA, (10), (11): P = 2/3 and 1/3 mW, d_sv = sqrt(1e4 / 1.5 - 2500)
+    = 64.5 m, and 2 * 64.5 >= 110: one UAV, from 45.5 to 64.5 m from device 0.
     """
     link = LinkBudget(transmit_power_dbm=0, noise_power_dbm=-70)
     positions, rates = [[0, 0], [0, 110]], [1.0, math.log2(1.5)]
