@@ -162,6 +162,8 @@ class Aircraft:
         self.held_because = ""
         #: The operator took it out of the planner's hands: it flies home or lands.
         self.recalled = False
+        #: It is looked at whether it can be taken back, after a restart.
+        self.resuming = False
         #: Set by who knows the links: the system id is heard from several addresses; something else is wrong there.
         self.duplicates = ""
         self.link_problem = ""
@@ -224,6 +226,11 @@ class Aircraft:
         self._goal_refused = reason if refused else ""
         self._no_goal_because = "" if refused else reason
         self.life.distance_m = math.nan
+
+    @property
+    def flown(self) -> bool:
+        """Whether the bridge flies it to its goals, or is about to: what one that comes after it may go on with."""
+        return self.resuming or (self.authority.ours and not self.held_because and not self.recalled)
 
     @property
     def home_m(self) -> tuple[float, float, float] | None:

@@ -73,13 +73,14 @@ class Authority:
             return False
         late = now <= self._before_until and mode in self._modes_before
         if mode not in self._modes and not late:
-            return self._lose(f"mode became {mode} without the bridge asking")
+            return self.lose(f"mode became {mode} without the bridge asking")
         if self._was_armed and not armed:
-            return self._lose("disarmed without the bridge asking")
+            return self.lose("disarmed without the bridge asking")
         self._was_armed = armed
         return False
 
-    def _lose(self, reason: str) -> bool:
+    def lose(self, reason: str) -> bool:
+        """Others have it, whatever the bridge was about to do."""
         self.holder = Holder.OTHERS
         self.reason = f"{reason}; bridge/launch or bridge/hold takes it back"
         return True

@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from enum import Enum
@@ -29,6 +29,7 @@ from jpap_ros.mavlink.guards import PlanDeadman
 from jpap_ros.mavlink.link_rates import LinkRates
 from jpap_ros.mavlink.link_report import LinkReport
 from jpap_ros.mavlink.links import COMPONENT_ID, Link, LinkHub, Packet, Peer
+from jpap_ros.mavlink.resumption import resume
 from jpap_ros.mavlink.routing import Forwarder
 from jpap_ros.mavlink.sightings import Sightings
 from jpap_ros.mavlink.snapshot import AircraftSnapshot, snapshot_of
@@ -271,6 +272,19 @@ class FleetController:
         self._call(lambda now: self._begin(order, meant, now))
         return futures
 
+    def resume(self, names: Iterable[str]) -> dict[str, Future[OrderResult]]:
+        """Go on with aircraft that a bridge before this one flew until it was killed.
+
+        Returns
+        -------
+        dict of str to Future
+            As `order`; those that are not in the fleet any more are left out.
+        """
+        futures: dict[str, Future[OrderResult]] = {name: Future() for name in names if name in self._members}
+        for name, future in futures.items():
+            self._call(partial(self._resume, self._members[name], partial(_report, future)))
+        return futures
+
     # --- on the I/O thread
 
     def _call(self, function: Callable[[float], None]) -> None:
@@ -305,6 +319,10 @@ class FleetController:
             delay_s = rank * self._settings.launch_stagger_s
             member.aircraft.run(self._procedure(order, member.aircraft, delay_s, turns.get(name)), done, order.value)
             self._tick(member, now)
+
+    def _resume(self, member: _Member, done: Done, now: float) -> None:
+        member.aircraft.now = now
+        member.aircraft.run(resume(member.aircraft), done, "resume")
 
     def _turns(self, order: FleetOrder, names: list[str]) -> dict[str, Turn]:
         """Turns of those that are told to take off, or to come home, together."""

@@ -41,6 +41,8 @@ class AircraftSnapshot:
         What an operator should look into.
     reboots : int
         Since the bridge started.
+    flown : bool
+        The bridge flies it to its goals, or is about to.
     """
 
     name: str
@@ -63,6 +65,7 @@ class AircraftSnapshot:
     goal_distance_m: float
     problems: tuple[str, ...]
     reboots: int
+    flown: bool
 
     @property
     def condition(self) -> tuple[object, ...]:
@@ -79,6 +82,7 @@ class AircraftSnapshot:
             self.goal_reason,
             self.goal_plan_id,
             self.problems,
+            self.flown,
         )
 
 
@@ -107,4 +111,5 @@ def snapshot_of(aircraft: Aircraft) -> AircraftSnapshot:
         goal_distance_m=life.distance_m,
         problems=tuple(aircraft.problems()),
         reboots=vehicle.reboots,
+        flown=aircraft.flown,
     )

@@ -31,6 +31,7 @@ from jpap_ros.mavlink.tlog import TlogFolder
 from jpap_ros.nodes.bridge_conversions import fix_of, goal_marks, goal_of, pose_of, state_message
 from jpap_ros.nodes.bridge_diagnostics import aircraft_status, link_status, tlog_status
 from jpap_ros.nodes.bridge_parameters import bridge_parameters, controller_settings
+from jpap_ros.nodes.bridge_succession import Succession
 from jpap_ros.nodes.goal_book import GoalBook
 from jpap_ros.nodes.parameters import StartError, declare, values
 from jpap_ros.nodes.process import run
@@ -51,6 +52,7 @@ class BridgeNode(Node):
         # First, because rclpy destroys a node whose making was refused.
         self._controller: FleetController | None = None
         self._tlog: TlogFolder | None = None
+        self._succession: Succession | None = None
         super().__init__("bridge")
         params = bridge_parameters()
         declare(self, params)
@@ -87,6 +89,8 @@ class BridgeNode(Node):
         except (ValueError, OSError) as error:
             raise StartError(str(error)) from None
         self._controller.start()
+        self._succession = Succession(settings["state_file"], self.get_logger())
+        self._succession.take_over(self._controller)
 
         for name in self._names:
             self.create_subscription(PoseStamped, f"{name}/goal_pose", partial(self._on_goal, name), LATCHED)
@@ -109,6 +113,8 @@ class BridgeNode(Node):
         """Part from the aircraft as their autopilots need it, and leave the graph."""
         if self._controller is not None:
             self._controller.close()
+        if self._succession is not None:
+            self._succession.end()
         if self._tlog is not None:
             self._tlog.close()
         super().destroy_node()
@@ -230,6 +236,9 @@ class BridgeNode(Node):
             if before is None or before.condition != snapshot.condition:
                 self._publish_state(snapshot)
                 self._log_change(before, snapshot)
+        if self._succession is not None:
+            # Before an order is answered: what an operator was told must survive a kill.
+            self._succession.keep(self._names, self._snapshots)
         finished = [call for call in self._calls if all(outcome.done() for outcome in call[0].values())]
         for call in finished:
             self._calls.remove(call)

@@ -43,6 +43,12 @@ def bridge_parameters() -> tuple[Param, ...]:
             "Keep what passes over each link here, as .tlog for ground stations; empty: nowhere",
             fixed=True,
         ),
+        Param(
+            "state_file",
+            "",
+            "File that names the aircraft flown, to go on with them after a kill; empty: none",
+            fixed=True,
+        ),
         Param("arrival_radius_m", 1.0, "A goal is reached within this distance [m]", 0.1, 100.0, fixed=True),
         Param("takeoff_height_m", 10.0, "Height above home that bridge/launch climbs to [m]", 1.0, 500.0, fixed=True),
         Param("launch_stagger_s", 0.5, "Between the take-offs of one bridge/launch [s]", 0.0, 600.0, fixed=True),
