@@ -1,4 +1,4 @@
-"""Start everything: planner, bridge and, unless the fleet is real, its simulated aircraft."""
+"""Start everything: planner, bridge, the picture for viewers and, unless the fleet is real, its simulated aircraft."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
@@ -29,6 +29,9 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "dashboard", default_value="false", description="Serve the page for the browser: true or false"
             ),
+            DeclareLaunchArgument(
+                "markers", default_value="true", description="Draw for RViz, Foxglove and others: true or false"
+            ),
             DeclareLaunchArgument("namespace", default_value="", description="ROS namespace of all nodes"),
             DeclareLaunchArgument(
                 "params_file",
@@ -44,6 +47,7 @@ def generate_launch_description() -> LaunchDescription:
             _include("planner", (*SHARED, "scheme")),
             _include("bridge", SHARED),
             _include("sim", SHARED, condition=IfCondition(LaunchConfiguration("sim"))),
+            _include("markers", SHARED, condition=IfCondition(LaunchConfiguration("markers"))),
             _include("dashboard", SHARED, condition=IfCondition(LaunchConfiguration("dashboard"))),
         ]
     )

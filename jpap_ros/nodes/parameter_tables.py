@@ -11,6 +11,7 @@ from pathlib import Path
 
 from jpap_ros.nodes.bridge_parameters import bridge_parameters
 from jpap_ros.nodes.dashboard_parameters import dashboard_parameters
+from jpap_ros.nodes.markers import markers_parameters
 from jpap_ros.nodes.parameters import Param
 from jpap_ros.nodes.planner_parameters import planner_parameters
 from jpap_ros.nodes.sim import sim_parameters
@@ -25,6 +26,7 @@ def tables() -> str:
         "planner": planner_parameters(),
         "bridge": bridge_parameters(),
         "sim": sim_parameters(),
+        "markers": markers_parameters(),
         "dashboard": dashboard_parameters(),
     }
     return "\n".join(f"### `{node}`\n\n{_table(params)}" for node, params in nodes.items())
