@@ -2,7 +2,8 @@
 
 Planner, bridge and simulated aircraft run as processes. A relay between bridge and aircraft, in this process, sees the
 moment at which a changed position target passes, without any of the project's MAVLink code. Devices join one at a time
-beside those that are there from the start, close enough to a present cell to change its goal.
+beside those that are there from the start, and leave again before the next one. Each is placed where no aircraft can
+serve it from where it hovers, but at least one can from elsewhere: it fits a present cell, whose aircraft has to move.
 """
 
 from __future__ import annotations
@@ -24,11 +25,15 @@ from geometry_msgs.msg import Point, PoseStamped
 from jpap_msgs.msg import Deployment, Device, DeviceUpdate, VehicleState
 from jpap_msgs.srv import FleetCommand
 from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
 
 from jpap_ros.demo.processes import Children
 from jpap_ros.nodes.qos import DEVICES, LATCHED
+from jpap_ros.planning import LinkBudget
 
 SET_POSITION_TARGET_GLOBAL_INT = 86
+SIDE_M = 1500.0
+DEMANDS = 12.0, 17.0  # bit/s/Hz
 
 
 class Relay(threading.Thread):
@@ -97,6 +102,7 @@ class Watch:
                 PoseStamped, f"{name}/goal_pose", lambda m, name=name: self._on_goal(name, m), LATCHED
             )
         self.launch = self.node.create_client(FleetCommand, "bridge/launch")
+        self._fault = self.node.create_publisher(String, "sim/fault", 10)
 
     def _on_plan(self, message: Deployment) -> None:
         self.plan = message
@@ -111,9 +117,10 @@ class Watch:
             self.goals[name] = goal
             self.changes.append(time.monotonic())
 
-    def join(self, devices: dict[str, tuple[float, float, float]]) -> None:
+    def report(self, devices: dict[str, tuple[float, float, float]], departed: tuple[str, ...] = ()) -> None:
         update = DeviceUpdate()
         update.header.frame_id = "map"
+        update.departed = list(departed)
         update.devices = [
             Device(id=i, position=Point(x=x, y=y), rate_demand=r, weight=1.0) for i, (x, y, r) in devices.items()
         ]
@@ -126,6 +133,10 @@ class Watch:
                 raise SystemExit(f"waited in vain for {what}")
             self.executor.spin_once(timeout_sec=0.005)
 
+    def change_battery(self, uav: str) -> None:
+        """In the air, which only a simulated aircraft can do: the measurement takes longer than one charge."""
+        self._fault.publish(String(data=f"{uav} battery 1.0"))
+
     def settled(self) -> bool:
         """Whether every cell's aircraft is at its goal of the present plan."""
         return self.plan is not None and all(
@@ -136,8 +147,45 @@ class Watch:
         )
 
 
+def moving_join(
+    rng: np.random.Generator, devices: dict[str, tuple[float, float, float]], plan: Deployment, link: LinkBudget
+) -> tuple[float, float, float]:
+    """Place and demand of a device that some cell of `plan` can serve, but none from where its aircraft hovers.
+
+    A set needs the power sum w_k (|v - u_k|^2 + H^2) / eta at v, the least of it at the mean weighted by w.
+    """
+    cells = [
+        (
+            np.array([c.goal_pose.position.x, c.goal_pose.position.y]),
+            np.array([devices[i] for i in c.device_ids]),
+        )
+        for c in plan.cells
+    ]
+
+    def power(members: np.ndarray, place: np.ndarray) -> float:
+        weight = (2 ** members[:, 2] - 1) / link.eta
+        return float(weight @ (((members[:, :2] - place) ** 2).sum(1) + link.altitude_m**2))
+
+    for _ in range(10_000):
+        hover, members = cells[rng.integers(len(cells))]
+        rate, bearing = rng.uniform(*DEMANDS), rng.uniform(0, 2 * np.pi)
+        # As far from this aircraft as takes it just over its power.
+        lacking = rng.uniform(1.02, 1.1) * link.transmit_power_w - power(members, hover)
+        distance2 = lacking * link.eta / (2**rate - 1) - link.altitude_m**2
+        if distance2 <= 0:
+            continue
+        newcomer = np.array([*(hover + np.sqrt(distance2) * np.array([np.cos(bearing), np.sin(bearing)])), rate])
+        joined = np.vstack([members, newcomer])
+        best = np.average(joined[:, :2], axis=0, weights=2 ** joined[:, 2] - 1)
+        if power(joined, best) <= 0.98 * link.transmit_power_w and all(
+            power(np.vstack([m, newcomer]), h) > 1.02 * link.transmit_power_w for h, m in cells
+        ):
+            return tuple(newcomer)
+    raise SystemExit("found no place for a device that makes an aircraft move")
+
+
 def measure(devices: int, uavs: int, joins: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Seconds from join to plan, and to goal and wire for each join that changed a flying aircraft's goal."""
+    """Seconds from each join to its plan, to the changed goal, and to the changed target on the wire."""
     rng = np.random.default_rng(seed)
     ports = _free_ports(2 * uavs)
     names = [f"uav{i + 1}" for i in range(uavs)]
@@ -161,30 +209,32 @@ def measure(devices: int, uavs: int, joins: int, seed: int) -> tuple[np.ndarray,
                 children.start(name, [str(programs / name), "--ros-args", "-p", f"fleet_file:={work / file}", *extra])
             watch = Watch(names)
             watch.wait(lambda: watch.publisher.get_subscription_count() and watch.launch.service_is_ready(), "nodes")
-            positions = rng.uniform(-400, 400, (devices, 2))
-            rates = rng.uniform(11, 15, devices)
+            positions = rng.uniform(-SIDE_M / 2, SIDE_M / 2, (devices, 2))
+            rates = rng.uniform(*DEMANDS, devices)
             present = {f"d{k}": (*positions[k], rates[k]) for k in range(devices)}
-            watch.join(present)
+            watch.report(present)
             watch.wait(lambda: watch.plan and not watch.plan.unserved and watch.plan.cells, "a plan for all devices")
             answer = watch.launch.call_async(FleetCommand.Request())
             watch.wait(answer.done, "take-off", 120)
             watch.wait(watch.settled, "the fleet at its goals", 120)
             to_plan, to_goal, to_wire = [], [], []
             for join in range(joins):
-                goals, wires = len(watch.changes), len(relay.changes)
-                near = positions[rng.integers(devices)] + rng.normal(0, 60, 2)
-                plan = watch.plan.plan_id
+                for turn in range(3):
+                    watch.change_battery(names[(3 * join + turn) % uavs])
+                newcomer = {f"join{join}": moving_join(rng, present, watch.plan, LinkBudget())}
+                goals, wires, plan = len(watch.changes), len(relay.changes), watch.plan.plan_id
                 started = time.monotonic()
-                watch.join({f"join{join}": (*near, rng.uniform(12, 14))})
+                watch.report(newcomer)
                 watch.wait(lambda plan=plan: watch.plan.plan_id > plan, "a new plan")
-                # A device that fits its cell as it is moves nobody: then there is nothing to see on the wire.
-                until = time.monotonic() + 0.5
-                while time.monotonic() < until:
-                    watch.executor.spin_once(timeout_sec=0.005)
                 to_plan.append(watch.planned_at - started)
-                if len(watch.changes) > goals and len(relay.changes) > wires:
-                    to_goal.append(watch.changes[goals] - started)
-                    to_wire.append(relay.changes[wires] - started)
+                watch.wait(lambda goals=goals: len(watch.changes) > goals, "a new goal")
+                watch.wait(lambda wires=wires: len(relay.changes) > wires, "a new target on the wire")
+                to_goal.append(watch.changes[goals] - started)
+                to_wire.append(relay.changes[wires] - started)
+                watch.wait(watch.settled, "the fleet at its goals", 120)
+                plan = watch.plan.plan_id
+                watch.report({}, departed=tuple(newcomer))
+                watch.wait(lambda plan=plan: watch.plan.plan_id > plan, "a plan without it")
                 watch.wait(watch.settled, "the fleet at its goals", 120)
         rclpy.try_shutdown()
     return np.array(to_plan), np.array(to_goal), np.array(to_wire)
@@ -216,9 +266,6 @@ def main() -> None:
         ("join -> goal published", to_goal),
         ("join -> target on the wire", to_wire),
     ):
-        if not len(values):
-            print(f"{label:28s} n=0: no join moved an aircraft")
-            continue
         p50, p90, p99, worst = np.percentile(1000 * values, [50, 90, 99, 100])
         print(f"{label:28s} n={len(values)}  p50 {p50:.1f} ms  p90 {p90:.1f}  p99 {p99:.1f}  max {worst:.1f}")
 
