@@ -56,13 +56,15 @@ def main(arguments: list[str] | None = None) -> int:
     out.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryDirectory(prefix="jpap_demo_") as work:
-            return _play(scenario, Path(work), out, share, console, options.dashboard)
+            return _play(scenario, Path(work), out, share, console, _watchers(options, out))
     except KeyboardInterrupt:
         console.print("stopped", highlight=False)
         return 130
 
 
-def _play(scenario: Scenario, work: Path, out: Path, share: Path, console: Console, port: int | None) -> int:
+def _play(
+    scenario: Scenario, work: Path, out: Path, share: Path, console: Console, watchers: Mapping[str, Mapping[str, Any]]
+) -> int:
     started = time.monotonic()
     fleet_file = work / "fleet.yaml"
     write_fleet(fleet_file, ORIGIN, scenario.uavs)
@@ -73,9 +75,10 @@ def _play(scenario: Scenario, work: Path, out: Path, share: Path, console: Conso
         # Ctrl-C is Python's: it ends the scenario, not the graph under it.
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:
-            _start_nodes(children, fleet_file, scenario, port)
-            if port is not None:
-                console.print(f"dashboard: http://127.0.0.1:{port}/", highlight=False, soft_wrap=True)
+            _start_nodes(children, fleet_file, scenario, watchers)
+            if "dashboard" in watchers:
+                page = f"http://127.0.0.1:{watchers['dashboard']['port']}/"
+                console.print(f"dashboard: {page}", highlight=False, soft_wrap=True)
             with Live(console=console, refresh_per_second=8, transient=not console.is_terminal) as live:
                 run = Run(scenario, fleet, source, children, live)
                 run.play()
@@ -95,18 +98,32 @@ def _play(scenario: Scenario, work: Path, out: Path, share: Path, console: Conso
     if unclean := {name: status for name, status in statuses.items() if status != 0}:
         console.print(f"demo failed: nodes ended with status {unclean}", style="red", highlight=False)
         return 1
+    if "recorder" in watchers:
+        newest = max(Path(watchers["recorder"]["folder"]).glob("*.mcap"))
+        console.print(f"recording: {os.path.relpath(newest)}", highlight=False, soft_wrap=True)
     return 0
 
 
-def _start_nodes(children: Children, fleet_file: Path, scenario: Scenario, port: int | None) -> None:
+def _watchers(options: argparse.Namespace, out: Path) -> dict[str, Mapping[str, Any]]:
+    """Nodes that look on, with their parameters."""
+    watchers: dict[str, Mapping[str, Any]] = {}
+    if options.record:
+        watchers["recorder"] = {"folder": str(out / "recordings")}
+    if options.dashboard is not None:
+        watchers["dashboard"] = {"port": options.dashboard, "exercise": True}
+    return watchers
+
+
+def _start_nodes(
+    children: Children, fleet_file: Path, scenario: Scenario, watchers: Mapping[str, Mapping[str, Any]]
+) -> None:
     programs = Path(get_package_prefix("jpap_ros")) / "lib" / "jpap_ros"
     settings: dict[str, Mapping[str, Any]] = {
+        **watchers,
         "sim": {"speedup": scenario.speedup, **scenario.sim},
         "bridge": scenario.bridge,
         "planner": scenario.planner,
     }
-    if port is not None:
-        settings["dashboard"] = {"port": port, "exercise": True}
     for name, parameters in settings.items():
         command = [str(programs / name), "--ros-args", "-p", f"fleet_file:={fleet_file}"]
         for key, value in parameters.items():
@@ -145,6 +162,7 @@ def _parse(arguments: list[str] | None, share: Path) -> argparse.Namespace:
         metavar="PORT",
         help="show the fleet in a browser at this port of 127.0.0.1 (default: 8080)",
     )
+    parser.add_argument("--record", action="store_true", help="record the flight under the folder of --out")
     parser.add_argument("--out", default="out", help="folder for the picture and, on failure, logs (default: out)")
     return parser.parse_args(arguments)
 
