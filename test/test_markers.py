@@ -30,7 +30,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from jpap_ros.fleet.config import MapOrigin, load_fleet
 from jpap_ros.fleet.fence import Fence
 from jpap_ros.mavlink.geodesy import LocalFrame
-from jpap_ros.nodes.markers_conversions import MAX_LABELS, MarkerBook, Scene, draw
+from jpap_ros.nodes.markers_conversions import MAX_LABELS, MarkerBook, Scene, draw_fleet, draw_plan
 from jpap_ros.nodes.markers_geojson import deployment_geojson
 from jpap_ros.nodes.qos import DEVICES, LATCHED, SENSOR_DATA
 from jpap_ros.planning.devices import Device
@@ -228,7 +228,7 @@ def scene() -> Scene:
 
 
 def drawn(scene: Scene) -> dict[str, list[Marker]]:
-    markers = draw(scene)
+    markers = draw_plan(scene) + draw_fleet(scene)
     for marker in markers:
         marker.header.frame_id = "map"
     check(markers)

@@ -13,11 +13,11 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from std_msgs.msg import Header, String
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.mavlink.geodesy import LocalFrame
-from jpap_ros.nodes.markers_conversions import MarkerBook, Scene, draw
+from jpap_ros.nodes.markers_conversions import MarkerBook, Scene, draw_fleet, draw_plan
 from jpap_ros.nodes.markers_geojson import deployment_geojson
 from jpap_ros.nodes.parameters import Param, declare, fleet_file, values
 from jpap_ros.nodes.planner_intake import DeviceIntake
@@ -30,7 +30,7 @@ def markers_parameters() -> tuple[Param, ...]:
     return (
         fleet_file(),
         Param("map_frame", "map", "Frame of positions: ENU, origin as in the fleet file", fixed=True),
-        Param("rate_hz", 4.0, "Most messages a second; none where nothing changes [Hz]", 0.1, 30.0, fixed=True),
+        Param("rate_hz", 2.0, "Most messages a second; none where nothing changes [Hz]", 0.1, 30.0, fixed=True),
         Param("size_m", 20.0, "Diameter of a UAV's marker; the others follow from it [m]", 0.1, 1000.0, fixed=True),
     )
 
@@ -54,6 +54,7 @@ class MarkersNode(Node):
         self._scene = Scene(fleet.names, fleet.fence, settings["size_m"])
         self._book = MarkerBook()
         self._scene_changed = self._plan_changed = True
+        self._plan_markers: list[Marker] = []
         self._drawn = 0
         self._problem = ""
 
@@ -105,16 +106,17 @@ class MarkersNode(Node):
     # Out
 
     def _on_turn(self) -> None:
+        if self._plan_changed:
+            self._plan_changed = False
+            self._plan_markers = draw_plan(self._scene)
+            self._publish_geojson()
         if self._scene_changed or self._book.unfinished:
             self._scene_changed = False
             self._publish_markers()
-        if self._plan_changed:
-            self._plan_changed = False
-            self._publish_geojson()
 
     def _publish_markers(self) -> None:
         header = self._header()
-        markers = self._book.with_deletions(draw(self._scene))
+        markers = self._book.with_deletions([*self._plan_markers, *draw_fleet(self._scene)])
         for marker in markers:
             marker.header = header
         self._drawn = len(markers)

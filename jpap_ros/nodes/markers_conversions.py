@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -98,17 +98,20 @@ class Scene:
         return _finite(goal.pose.position)
 
 
-def draw(scene: Scene) -> list[Marker]:
-    """Return every marker of a scene; headers are left to the publisher."""
+def draw_plan(scene: Scene) -> list[Marker]:
+    """Return the markers that change only with the plan, the devices and their demands; headers are left out."""
+    return [*_fence(scene), *_devices(scene), *_cells(scene)]
+
+
+def draw_fleet(scene: Scene) -> list[Marker]:
+    """Return the markers that follow the aircraft: where they are, their goals, their ways and links."""
     return [
-        *_fence(scene),
-        *device_markers(scene),
-        *_cells(scene),
+        *_links(scene),
         *(marker for index, uav in enumerate(scene.uavs) for marker in _uav(scene, index, uav)),
     ]
 
 
-def device_markers(scene: Scene) -> list[Marker]:
+def _devices(scene: Scene) -> list[Marker]:
     """Devices by service (shape) and demand (colour): served, unserved, and those that no plan knows yet."""
     plan = scene.plan
     served = {name for cell in plan.cells if cell.uav for name in cell.device_ids} if plan is not None else set()
@@ -184,36 +187,44 @@ def _fence(scene: Scene) -> list[Marker]:
     return [_line("fence", 0, Marker.LINE_STRIP, ring, 0.2 * scene.size_m, "vermillion")]
 
 
-def _cells(scene: Scene) -> list[Marker]:
-    """Coverage circle and links of each cell that has an aircraft; the goal of each that has none."""
-    if scene.plan is None:
-        return []
-    places = {device.id: device.position for device in scene.devices}
-    index = {name: i for i, name in enumerate(scene.uavs)}
-    markers = []
-    for number, cell in enumerate(scene.plan.cells):
-        centre = _finite(cell.goal_pose.position)
-        if centre is None:
-            continue
-        if cell.uav not in index:
+def _cells(scene: Scene) -> Iterator[Marker]:
+    """Coverage circle of each cell that has an aircraft; the goal of each that has none."""
+    for number, (cell, centre, devices) in enumerate(_cells_on_the_map(scene)):
+        if cell.uav not in scene.uavs:
             size = 0.7 * scene.size_m
-            markers.append(_marker("open_cells", number, Marker.CUBE, (size, size, size), "vermillion", 0.4, centre))
-            continue
-        uav, devices = index[cell.uav], [places[name] for name in cell.device_ids if name in places]
-        if radius := _radius(cell, centre, devices):
+            yield _marker("open_cells", number, Marker.CUBE, (size, size, size), "vermillion", 0.4, centre)
+        elif radius := _radius(cell, centre, devices):
             ring = _circle((centre[0], centre[1], 0.0), radius)
-            markers.append(_line("coverage", uav, Marker.LINE_STRIP, ring, 0.12 * scene.size_m, "blue", 0.6))
-        if devices:
-            here = scene.position(cell.uav) or centre
-            ends = [_point(end) for place in devices for end in (here, (*place, 0.0))]
-            state = scene.states.get(cell.uav)
-            there = state is not None and state.goal_state == VehicleState.GOAL_REACHED
-            colour, alpha = ("blue", 0.8) if there else ("grey", 0.5)
-            markers.append(_line("links", uav, Marker.LINE_LIST, ends, 0.1 * scene.size_m, colour, alpha))
-    return markers
+            index = scene.uavs.index(cell.uav)
+            yield _line("coverage", index, Marker.LINE_STRIP, ring, 0.12 * scene.size_m, "blue", 0.6)
 
 
-def _uav(scene: Scene, index: int, name: str) -> Iterable[Marker]:
+def _links(scene: Scene) -> Iterator[Marker]:
+    """Lines from each aircraft that has a cell, where it is, to its devices; faint until it is at its goal."""
+    for cell, centre, devices in _cells_on_the_map(scene):
+        if cell.uav not in scene.uavs or not devices:
+            continue
+        here = scene.position(cell.uav) or centre
+        ends = [_point(end) for place in devices for end in (here, (*place, 0.0))]
+        state = scene.states.get(cell.uav)
+        there = state is not None and state.goal_state == VehicleState.GOAL_REACHED
+        colour, alpha = ("blue", 0.8) if there else ("grey", 0.5)
+        index = scene.uavs.index(cell.uav)
+        yield _line("links", index, Marker.LINE_LIST, ends, 0.1 * scene.size_m, colour, alpha)
+
+
+def _cells_on_the_map(scene: Scene) -> Iterator[tuple[Cell, Place, list[tuple[float, float]]]]:
+    """Each cell with its goal and the places of its devices, as far as they are known."""
+    if scene.plan is None:
+        return
+    places = {device.id: device.position for device in scene.devices}
+    for cell in scene.plan.cells:
+        centre = _finite(cell.goal_pose.position)
+        if centre is not None:
+            yield cell, centre, [places[name] for name in cell.device_ids if name in places]
+
+
+def _uav(scene: Scene, index: int, name: str) -> Iterator[Marker]:
     """The aircraft (faint where it was last seen), its name, its goal, and the line to it while it is on its way."""
     size, here, goal = scene.size_m, scene.position(name), scene.goal(name)
     if goal is not None:
