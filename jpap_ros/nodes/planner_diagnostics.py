@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -57,30 +56,39 @@ class PlannerHealth:
     fleet: int = 0
 
     def problems(self) -> list[str]:
-        """Everything that an operator should look at, in words."""
+        """Everything that an operator should look at, in words, and what to do about it."""
         problems = []
         if self.plan is not None and self.plan.unserved:
-            problems.append(f"{len(self.plan.unserved)} devices are not served")
+            problems.append(f"{len(self.plan.unserved)} devices are not served (the deployment says why)")
         if self.plan is not None and self.plan.uavs_needed > self.available:
-            problems.append(f"{self.plan.uavs_needed} UAVs are needed, {self.available} are available")
+            problems.append(
+                f"{self.plan.uavs_needed} UAVs are needed, {self.available} are available: make more ready, "
+                "or give back those that were taken over"
+            )
         if self.ignored:
-            problems.append(f"the newest reports of {self.ignored} devices are wrong and ignored")
+            problems.append(
+                f"the newest reports of {self.ignored} devices are wrong and ignored: mend their sender (see the log)"
+            )
         return problems
 
     def status(self, name: str, now_s: float) -> DiagnosticStatus:
         """Return the status: ERROR where planning failed, WARN where something lacks, else OK."""
         problems = self.problems()
         if self.failure:
-            level, message = DiagnosticStatus.ERROR, f"planning failed, the last good plan stays: {self.failure}"
+            level, message = (
+                DiagnosticStatus.ERROR,
+                (f"planning failed, the last good plan stays: {self.failure}; mend that, then call planner/replan"),
+            )
         elif problems:
             level, message = DiagnosticStatus.WARN, "; ".join(problems)
         elif not self.active:
-            level, message = DiagnosticStatus.OK, "inactive"
+            level, message = DiagnosticStatus.OK, "inactive: plans once it is activated"
         elif self.plan is None:
             level, message = DiagnosticStatus.OK, "no device yet"
         else:
             level, message = DiagnosticStatus.OK, self.plan.summary()
-        unserved: Sequence[object] = self.plan.unserved if self.plan is not None else ()
+        plan = self.plan
+        bound = plan.min_uavs_bound if plan is not None else None
         figures = {
             "plan id": self.plan_id,
             "plan age [s]": f"{now_s - self.plan_made_s:.3f}",
@@ -88,12 +96,15 @@ class PlannerHealth:
             "latency from event to goals [s]": f"{self.latency_s:.6f}",
             "planning pending": self.pending,
             "devices": self.devices,
-            "devices unserved": len(unserved),
+            "devices unserved": len(plan.unserved) if plan is not None else 0,
             "devices with wrong newest report": self.ignored,
             "wrong reports so far": self.faults,
             "UAVs available": self.available,
             "UAVs in fleet": self.fleet,
-            "UAVs needed": self.plan.uavs_needed if self.plan is not None else 0,
+            "UAVs needed": plan.uavs_needed if plan is not None else 0,
+            "UAVs needed at least, proven": "unknown" if bound is None else bound,
+            "gap [%]": f"{100 * plan.gap:.1f}" if plan is not None else "nan",
+            "average UAV rate [bit/s]": f"{plan.average_uav_rate:.6g}" if plan is not None else "nan",
         }
         return DiagnosticStatus(
             level=level,
