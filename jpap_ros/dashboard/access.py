@@ -72,8 +72,7 @@ class Access:
 
     def origin_problem(self, origin: str | None, host: str | None) -> str | None:
         """Say why the page that a WebSocket comes from is not ours, or None. A browser always tells its origin."""
-        parts = urlsplit(origin or "")
-        if parts.scheme in ("http", "https") and host and parts.netloc.lower() == host.lower():
+        if origin and host and origin.lower() in (f"http://{host.lower()}", f"https://{host.lower()}"):
             return None
         return f"the page's origin {(origin or 'unknown')[:100]!r} is not this server"
 

@@ -49,7 +49,7 @@ _IDLE_S = 15
 _CONNECTIONS_EACH = 8
 #: Requests of one page that may be under way at once.
 _MAX_UNDER_WAY = 8
-#: Faults told to one page before it is dropped.
+#: Wrong messages in a row that a page is told of before it is dropped.
 _MAX_FAULTS = 20
 
 _BUSY = b"too many connections; try again later\n"
@@ -278,7 +278,9 @@ class DashboardServer:
             async for message in socket:
                 if not client.may_ask():
                     await _close(socket, WSCloseCode.POLICY_VIOLATION, "too many messages a second")
-                elif message.type is not WSMsgType.TEXT or not self._take(client, message.data):
+                elif message.type is WSMsgType.TEXT and self._take(client, message.data):
+                    faults = 0
+                else:
                     faults += 1
                     if faults > _MAX_FAULTS:
                         await _close(socket, NONSENSE, f"more than {_MAX_FAULTS} wrong messages")
@@ -289,19 +291,18 @@ class DashboardServer:
             await client.close()
 
     def _take(self, client: Client, text: str) -> bool:
-        """Begin what a page asks for; where it cannot be, answer why and return False."""
+        """Begin what a page asks for, or answer why not; False if it makes no sense at all."""
         number = None
         try:
             data = read_object(text)
             number = number_of(data)
             request = read_request(data, self._view.names, self._settings.exercise)
-            if client.under_way >= _MAX_UNDER_WAY:
-                raise RequestError(f"{_MAX_UNDER_WAY} requests are under way already")
-            if problem := self._problem(request):
-                raise RequestError(problem)
         except RequestError as error:
             self._answer(client, number, Outcome(False, str(error)))
             return False
+        if problem := self._problem(client, request):
+            self._answer(client, number, Outcome(False, problem))
+            return True
         client.under_way += 1
         # Kept here, not with the page: a launch goes on when the page that ordered it goes away.
         task = asyncio.create_task(self._carry_out(client, number, request))
@@ -309,8 +310,10 @@ class DashboardServer:
         task.add_done_callback(self._under_way.discard)
         return True
 
-    def _problem(self, request: Request) -> str | None:
-        """Say why a well-formed request makes no sense as things are, or None."""
+    def _problem(self, client: Client, request: Request) -> str | None:
+        """Say why a well-formed request cannot be carried out as things are, or None."""
+        if client.under_way >= _MAX_UNDER_WAY:
+            return f"{_MAX_UNDER_WAY} requests are under way already"
         if isinstance(request, OrderRequest) and request.action == "give_back":
             for name in request.uavs:
                 vehicle = self._view.vehicles.get(name)
