@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from jpap_ros.fleet.sequencing import landing_waves, takeoff_waves
@@ -97,21 +97,30 @@ class Tower:
         self._departures += given
         return {turn.name: turn for turn in given}
 
+    def climb_m(self, turn: Turn) -> float:
+        """How high an aircraft climbs above its pad [m]."""
+        return self._takeoff_height_m if turn.altitude_m is None else turn.altitude_m - turn.pad[2]
+
     def arrivals(self, fleet: Mapping[str, tuple[Vector, Vector]]) -> dict[str, Turn]:
         """Give turns to aircraft that are to come home, each with where it is and its home.
 
-        Where homes are close together the nearest to its home waits lowest; one that hovers above its home need not
-        climb to wait.
+        Where homes are close together the nearest to its home waits lowest. One that hovers above its home, or is
+        lower than aircraft usually wait, keeps its height: to climb first it would have to pass the others.
         """
         away_m = {name: math.dist(here[:2], home[:2]) for name, (here, home) in fleet.items()}
-        above = {name for name, distance_m in away_m.items() if distance_m <= ABOVE_HOME_M}
-        order = sorted(fleet, key=lambda name: (0.0, fleet[name][0][2]) if name in above else (away_m[name], 0.0))
-        given = {name: Turn(name, fleet[name][1], None) for name in order}
-        self._stack(given)
+        given = {name: Turn(name, fleet[name][1], None) for name in sorted(fleet, key=lambda name: away_m[name])}
+        above = {name for name in fleet if away_m[name] <= ABOVE_HOME_M}
         for name in above:
-            turn, up_m = given[name], fleet[name][0][2]
-            turn.altitude_m = up_m if turn.altitude_m is None else min(turn.altitude_m, up_m)
+            given[name].altitude_m = fleet[name][0][2]
+        for name in sorted(fleet.keys() - above, key=lambda name: fleet[name][0][2]):
+            here, home = fleet[name]
+            place = (*home[:2], here[2])
+            taken = self._waiting_places((*self._arrivals, *given.values())).values()
+            low = here[2] < home[2] + self._waiting_height_m
+            if low and all(math.dist(place, other) >= self._separation_m for other in taken):
+                given[name].altitude_m = here[2]
         self._arrivals += given.values()
+        self._stack([turn for turn in given.values() if turn.altitude_m is None])
         return given
 
     def landing(self, name: str, ground: Vector) -> Turn:
@@ -123,16 +132,15 @@ class Tower:
     def waiting_place(self, turn: Turn) -> Vector | None:
         """Where an aircraft that comes home waits until it may land; None: where it is, no height is left."""
         if turn.altitude_m is None:
-            self._stack({turn.name: turn})
+            self._stack([turn])
         return None if turn.altitude_m is None else (turn.pad[0], turn.pad[1], turn.altitude_m)
 
     def may_climb(self, turn: Turn, now: float) -> Hindrance | None:
         """Who is in the way of a take-off; None: the column is its own from now on, until it leaves."""
-        assert turn.altitude_m is not None
         first = next((other.name for other in turn.after if not other.over), None)
         if first is not None:
             return Hindrance(f"{first} climbs first", passes=True)
-        return self._claim(turn.name, (turn.pad[0], turn.pad[1], turn.altitude_m), turn.pad[2], now)
+        return self._claim(turn.name, (*turn.pad[:2], turn.pad[2] + self.climb_m(turn)), turn.pad[2], now)
 
     def may_land(self, turn: Turn, here: Vector, now: float) -> Hindrance | None:
         """Who is in the way of a landing from here straight down; None: the column is its own until it leaves."""
@@ -159,13 +167,18 @@ class Tower:
             other for other in (*self._departures, *given) if math.dist(pad[:2], other.pad[:2]) < self._separation_m
         )
 
-    def _stack(self, turns: Mapping[str, Turn]) -> None:
+    @property
+    def _waiting_height_m(self) -> float:
+        """Least height above home at which arrivals wait [m]."""
+        return max(self._takeoff_height_m, self._traffic.limits.min_altitude_m)
+
+    def _waiting_places(self, turns: Iterable[Turn]) -> dict[str, Vector]:
+        return {turn.name: (*turn.pad[:2], turn.altitude_m) for turn in turns if turn.altitude_m is not None}
+
+    def _stack(self, turns: Sequence[Turn]) -> None:
         """Give waiting heights, as far as there are any, above those that were given before."""
-        height_m = max(self._takeoff_height_m, self._traffic.limits.min_altitude_m)
-        waiting = {
-            other.name: (*other.pad[:2], other.altitude_m) for other in self._arrivals if other.altitude_m is not None
-        }
-        homes = {name: turn.pad for name, turn in turns.items()}
-        waves = landing_waves(homes, height_m, self._separation_m, self._top_m, waiting)
-        for name, altitude in waves.altitude_m.items():
-            turns[name].altitude_m = altitude
+        homes = {turn.name: turn.pad for turn in turns}
+        waiting = self._waiting_places(self._arrivals)
+        waves = landing_waves(homes, self._waiting_height_m, self._separation_m, self._top_m, waiting)
+        for turn in turns:
+            turn.altitude_m = waves.altitude_m.get(turn.name)

@@ -248,10 +248,10 @@ class Aircraft:
     @property
     def pad_m(self) -> tuple[float, float, float] | None:
         """Where it stands on the ground, as `home_m`; None: unknown, or it does not stand there."""
-        home, here = self.home_m, self.enu_m
-        if home is None or here is None or not self.vehicle.on_ground:
+        if self.enu_m is None or not self.vehicle.on_ground:
             return None
-        return here[0], here[1], home[2]
+        east_m, north_m, up_m = self.enu_m
+        return east_m, north_m, 0.0 if self.datum is AltitudeDatum.RELATIVE else up_m
 
     def traveller(self) -> Traveller:
         """How traffic control should see it now."""

@@ -16,7 +16,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import FleetConfig, LinkUrl
-from jpap_ros.fleet.tower import Tower, Turn
+from jpap_ros.fleet.tower import Tower
 from jpap_ros.fleet.traffic import TrafficControl
 from jpap_ros.fleet.transit_plan import TransitLimits
 from jpap_ros.mavlink import procedures
@@ -29,6 +29,7 @@ from jpap_ros.mavlink.guards import PlanDeadman
 from jpap_ros.mavlink.link_rates import LinkRates
 from jpap_ros.mavlink.link_report import LinkReport
 from jpap_ros.mavlink.links import COMPONENT_ID, Link, LinkHub, Packet, Peer
+from jpap_ros.mavlink.muster import Muster
 from jpap_ros.mavlink.resumption import resume
 from jpap_ros.mavlink.routing import Forwarder
 from jpap_ros.mavlink.sightings import Sightings
@@ -313,42 +314,36 @@ class FleetController:
             self._members[name].aircraft.now = now
             if not self._members[name].aircraft.join(done, order.value):
                 begun[name] = done
-        turns = self._turns(order, list(begun))
+        procedure = self._procedures(order, {name: self._members[name].aircraft for name in begun}, now)
         for rank, (name, done) in enumerate(begun.items()):
             member = self._members[name]
-            delay_s = rank * self._settings.launch_stagger_s
-            member.aircraft.run(self._procedure(order, member.aircraft, delay_s, turns.get(name)), done, order.value)
+            member.aircraft.run(procedure(member.aircraft, rank), done, order.value)
             self._tick(member, now)
+
+    def _procedures(
+        self, order: FleetOrder, fleet: Mapping[str, Aircraft], now: float
+    ) -> Callable[[Aircraft, int], Procedure]:
+        """What those do who get an order together, each by its rank among them."""
+        tower = self._tower
+        if order is FleetOrder.LAUNCH:
+            muster = None if tower is None else Muster(tower, fleet, now)
+            stagger_s = self._settings.launch_stagger_s
+            return lambda aircraft, rank: procedures.launch(aircraft, rank * stagger_s, tower, muster)
+        if order is FleetOrder.RETURN_HOME:
+            flying = {
+                name: (one.enu_m, home)
+                for name, one in fleet.items()
+                if one.vehicle.in_air and one.enu_m is not None and (home := one.home_m) is not None
+            }
+            turns = {} if tower is None else tower.arrivals(flying)
+            return lambda aircraft, _: procedures.return_home(aircraft, tower, turns.get(aircraft.config.name))
+        if order is FleetOrder.HOLD:
+            return lambda aircraft, _: procedures.hold(aircraft)
+        return lambda aircraft, _: procedures.land(aircraft, tower)
 
     def _resume(self, member: _Member, done: Done, now: float) -> None:
         member.aircraft.now = now
         member.aircraft.run(resume(member.aircraft), done, "resume")
-
-    def _turns(self, order: FleetOrder, names: list[str]) -> dict[str, Turn]:
-        """Turns of those that are told to take off, or to come home, together."""
-        if self._tower is None:
-            return {}
-        fleet = {name: self._members[name].aircraft for name in names}
-        if order is FleetOrder.LAUNCH:
-            return self._tower.departures({name: pad for name, one in fleet.items() if (pad := one.pad_m) is not None})
-        if order is FleetOrder.RETURN_HOME:
-            return self._tower.arrivals(
-                {
-                    name: (one.enu_m, home)
-                    for name, one in fleet.items()
-                    if one.vehicle.in_air and one.enu_m is not None and (home := one.home_m) is not None
-                }
-            )
-        return {}
-
-    def _procedure(self, order: FleetOrder, aircraft: Aircraft, delay_s: float, turn: Turn | None) -> Procedure:
-        if order is FleetOrder.LAUNCH:
-            return procedures.launch(aircraft, delay_s, self._tower, turn)
-        if order is FleetOrder.HOLD:
-            return procedures.hold(aircraft)
-        if order is FleetOrder.RETURN_HOME:
-            return procedures.return_home(aircraft, self._tower, turn)
-        return procedures.land(aircraft, self._tower)
 
     def _run(self) -> None:
         try:

@@ -13,6 +13,7 @@ from jpap_ros.mavlink.aircraft import Aircraft, Procedure, ProcedureFailed
 from jpap_ros.mavlink.authority import Holder
 from jpap_ros.mavlink.autopilots import Autopilot, TargetError, Transport
 from jpap_ros.mavlink.commands import ANSWER_TIMEOUT_S, Command, Outcome
+from jpap_ros.mavlink.muster import Muster
 from jpap_ros.mavlink.vehicle import LinkState
 
 #: A mode asked for must show in the heartbeat within this [s].
@@ -31,7 +32,9 @@ Wait = Generator[None, None, None]
 Place = tuple[float, float, float]
 
 
-def launch(aircraft: Aircraft, delay_s: float = 0.0, tower: Tower | None = None, turn: Turn | None = None) -> Procedure:
+def launch(
+    aircraft: Aircraft, delay_s: float = 0.0, tower: Tower | None = None, muster: Muster | None = None
+) -> Procedure:
     """Take an aircraft from the ground into the air, or back from a pilot, and open it to the planner's goals.
 
     Without an answer to arming or take-off the heartbeat and the landed state decide: either is sent again only while
@@ -43,10 +46,11 @@ def launch(aircraft: Aircraft, delay_s: float = 0.0, tower: Tower | None = None,
     delay_s : float
         Wait before the first step, so that neighbours do not rise together [s].
     tower : Tower, optional
-        Says when the way up is free, and how high to climb; without it take-offs are not kept apart.
-    turn : Turn, optional
-        Its turn, where several were told to take off together.
+        Says when the way up is free; without it take-offs are not kept apart.
+    muster : Muster, optional
+        Says whose turn it is and how high to climb; given together with a tower.
     """
+    name = aircraft.config.name
     try:
         aircraft.held_because = ""
         aircraft.recalled = False
@@ -62,21 +66,21 @@ def launch(aircraft: Aircraft, delay_s: float = 0.0, tower: Tower | None = None,
                 return "in the air and flying its goals already"
             yield from _open_to_goals(aircraft)
             return "in the air already; flies its goals now"
-        pad = aircraft.pad_m
-        if pad is None:
+        if not aircraft.vehicle.on_ground:
             raise ProcedureFailed("it is taking off or landing; call again when it is in the air or on the ground")
         height_m = aircraft.settings.takeoff_height_m
-        if tower is not None:
-            turn = turn or tower.departures({aircraft.config.name: pad})[aircraft.config.name]
-            assert turn.altitude_m is not None
-            height_m = turn.altitude_m - pad[2]
+        if tower is not None and muster is not None:
+            while (turn := muster.turn(name, aircraft.now)) is None:
+                yield
+                _check_link(aircraft)
+            height_m = tower.climb_m(turn)
             yield from _wait_for_turn(aircraft, partial(_climb_hindrance, aircraft, tower, turn), "take off")
         yield from _rise(aircraft, height_m)
         yield from _open_to_goals(aircraft)
         return f"in the air at {height_m:.3g} m; flies its goals now"
     finally:
-        if tower is not None and turn is not None:
-            tower.leave(turn)
+        if muster is not None:
+            muster.leave(name)
 
 
 def _climb_hindrance(aircraft: Aircraft, tower: Tower, turn: Turn) -> Hindrance | None:
