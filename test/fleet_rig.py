@@ -105,8 +105,8 @@ class Rig:
             made.append(UavConfig(name, i + 1, **{**defaults, **keys}))
         return FleetConfig(ORIGIN, tuple(made))
 
-    def fly(self, fleet: FleetConfig, options: Any = None) -> SimFleet:
-        return self._stack.enter_context(SimFleet(fleet, speedup=SPEEDUP, options=options))
+    def fly(self, fleet: FleetConfig, options: Any = None, speedup: float = SPEEDUP) -> SimFleet:
+        return self._stack.enter_context(SimFleet(fleet, speedup=speedup, options=options))
 
     def control(
         self, fleet: FleetConfig, settings: ControllerSettings | None = None, **aircraft: Any

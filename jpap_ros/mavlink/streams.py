@@ -45,7 +45,7 @@ SILENCE_S = 3.0
 SILENCE_PERIODS = 5.0
 #: A change of a rate by a smaller share is not worth the question.
 WORTH_ASKING = 0.1
-#: Pause before what was not answered is asked for again, and between questions for home [s].
+#: Pause once nothing was answered, and between questions for home [s].
 RETRY_S = 5.0
 
 
@@ -79,6 +79,7 @@ class StreamRequests:
         self._not_before = -math.inf
         self._home_not_before = -math.inf
         self._fell_back = False
+        self._unanswered = 0
         self._done_at = -math.inf
 
     def restart(self) -> None:
@@ -88,6 +89,7 @@ class StreamRequests:
         self._not_before = -math.inf
         self._home_not_before = -math.inf
         self._fell_back = False
+        self._unanswered = 0
 
     def want(self, rates_hz: Mapping[int, float]) -> None:
         """Ask for other rates, where they differ enough."""
@@ -134,8 +136,12 @@ class StreamRequests:
         self._asked = None
         if outcome.result is None:
             self._wanted.rotate(-1)
-            self._not_before = now + RETRY_S
+            self._unanswered += 1
+            if self._unanswered >= len(self._wanted):
+                # Nobody answers at all: less often from now on.
+                self._not_before = now + RETRY_S
             return
+        self._unanswered = 0
         self._done_at = now
         # It may have been given another rate while the question was under way.
         if asked_hz == self._rates_hz[message_id]:
