@@ -81,7 +81,8 @@ class Operator(Node):
     def ready(self) -> bool:
         """Whether the planner listens, the bridge serves and every aircraft has been seen."""
         return (
-            self._devices.get_subscription_count() > 0
+            # By name: a recorder listens to devices, too.
+            any(info.node_name == "planner" for info in self.get_subscriptions_info_by_topic(self._devices.topic_name))
             and self._faults.get_subscription_count() > 0
             and self._launch.service_is_ready()
             and all(
