@@ -14,9 +14,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from scipy.optimize import minimize
@@ -26,6 +23,7 @@ from jpap_ros.planning.allocation import QDPA
 from jpap_ros.planning.geometry import nearest_common_point
 from jpap_ros.planning.reference import drmp_position, nearest_of_the_best, reference_jpap, sum_rate
 from jpap_ros.planning.solver import Problem, validate
+from jpap_ros.study.style import BLUE, GREY, VERMILLION, figure_style, save
 
 SIZES = (20, 40, 60, 80, 100, 300, 1000, 3000, 10_000)
 PAPER_DEVICES, PAPER_SIDE_M = 100, 1500.0
@@ -71,7 +69,7 @@ def timed(run: Callable[[], object]) -> float:
 
 def median_time(count: int, instances: int) -> float:
     """Median over instances of the best of several runs [s]: other processes only ever add to the time."""
-    runs = 15 if count <= 100 else 3 if count <= 1000 else 1
+    runs = 15 if count <= 100 else 3
     return statistics.median(best_time(instance(count, seed), runs) for seed in range(instances))
 
 
@@ -80,8 +78,11 @@ def best_time(problem: Problem, runs: int) -> float:
     return min(timed(lambda: solve(problem.positions, problem.rates)) for _ in range(runs))
 
 
-def compare(name: str, placer: Callable[..., np.ndarray], wanted: float, instances: int) -> None:
-    """Print how many times faster `jpap` is than the listing with a placer, and whether the cells are the same."""
+def compare(name: str, placer: Callable[..., np.ndarray], wanted: float, instances: int) -> float:
+    """Print how many times faster `jpap` is than the listing with a placer, and whether the cells are the same.
+
+    Returns the listing's mean time [s].
+    """
     slow = fast = 0.0
     same = 0
     for seed in range(instances):
@@ -97,6 +98,7 @@ def compare(name: str, placer: Callable[..., np.ndarray], wanted: float, instanc
         f"{name}: {slow / instances:.3f} s, jpap {fast / instances * 1e3:.1f} ms, {slow / fast:.0f} times faster"
         f" (wanted {wanted:.0f}); all cells identical in {same} of {instances} instances"
     )
+    return slow / instances
 
 
 def main() -> None:
@@ -104,7 +106,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--instances", type=int, default=10, help="instances for each figure (default: %(default)s)")
     parser.add_argument("--largest", type=int, default=SIZES[-1], help="most devices (default: %(default)s)")
-    parser.add_argument("--plot", type=Path, default=Path("out/planning.png"), help="where to save the log-log plot")
+    parser.add_argument(
+        "--plot",
+        type=Path,
+        default=Path("out/planning"),
+        help="log-log plot to save as PNG and SVG (default: %(default)s)",
+    )
     arguments = parser.parse_args()
     sizes = [count for count in SIZES if count <= arguments.largest]
     times = [median_time(count, arguments.instances if count <= 1000 else 1) for count in sizes]
@@ -113,9 +120,14 @@ def main() -> None:
         print(f"jpap, K = {count:6d}: {seconds * 1e3:9.1f} ms{wanted}")
     slope = np.polyfit(np.log(sizes), np.log(times), 1)[0]
     print(f"log-log slope: {slope:.2f} (K log K over the same sizes: {_slope_of_k_log_k(sizes):.2f})")
-    _plot(arguments.plot, sizes, times)
-    compare("listing taken literally (subgradient, 1 m grid)", drmp_position, 100, arguments.instances)
-    compare("listing with SLSQP at each step", slsqp_position, 5, arguments.instances)
+    references = {
+        name: compare(name, placer, wanted, arguments.instances)
+        for name, placer, wanted in (
+            ("listing taken literally (subgradient, 1 m grid)", drmp_position, 100),
+            ("listing with SLSQP at each step", slsqp_position, 5),
+        )
+    }
+    _plot(arguments.plot, sizes, times, references)
 
 
 def _slope_of_k_log_k(sizes: list[int]) -> float:
@@ -123,17 +135,24 @@ def _slope_of_k_log_k(sizes: list[int]) -> float:
     return float(np.polyfit(np.log(counts), np.log(counts * np.log(counts)), 1)[0])
 
 
-def _plot(path: Path, sizes: list[int], times: list[float]) -> None:
-    figure, axes = plt.subplots(figsize=(5, 4), layout="constrained")
-    axes.loglog(sizes, times, "o-", label="jpap")
+def _plot(path: Path, sizes: list[int], times: list[float], references: dict[str, float]) -> None:
     counts = np.array(sizes, float)
-    axes.loglog(counts, times[-1] * counts * np.log(counts) / (counts[-1] * np.log(counts[-1])), "--", label="K log K")
-    axes.set(xlabel="devices K, at constant density", ylabel="time [s]")
-    axes.grid(which="both", alpha=0.3)
-    axes.legend()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
-    print(f"plot: {path}")
+    with figure_style():
+        figure, axes = plt.subplots(figsize=(5.2, 3.6))
+        axes.loglog(counts, times, "o-", color=BLUE, label="jpap")
+        k_log_k = counts * np.log(counts)
+        axes.loglog(
+            counts, times[-1] * k_log_k / k_log_k[-1], "--", color=GREY, label="$K \\log K$ through the last point"
+        )
+        axes.plot(list(WANTED_S), list(WANTED_S.values()), "v", color=VERMILLION, label="wanted at most")
+        for marker, (name, seconds) in zip("sD", references.items(), strict=True):
+            axes.plot(PAPER_DEVICES, seconds, marker, color=GREY, linestyle="none", label=name)
+        axes.set(xlabel="Number of devices $K$, at constant density", ylabel="CPU time of a plan [s]")
+        # Room for the legend below the curve.
+        axes.set_ylim(bottom=min(times) / 60)
+        axes.legend(loc="lower right")
+        for file in save(figure, path):
+            print(f"plot: {file}")
 
 
 if __name__ == "__main__":
