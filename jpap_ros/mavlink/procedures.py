@@ -288,10 +288,11 @@ def _not_ready(aircraft: Aircraft) -> str:
         return "its position is not known (no GPS fix?)"
     if vehicle.home is None:
         return "home is not set"
+    if vehicle.in_air:
+        # PX4 stays critical until somebody takes it out of its failsafe; as long as it is, it holds.
+        return ""
     if vehicle.critical:
         return f"the autopilot reports MAV_STATE {vehicle.system_status}"
-    if vehicle.in_air:
-        return ""
     if not vehicle.health_known:
         return "its health is not known (no SYS_STATUS)"
     if vehicle.prearm_ok is False:
