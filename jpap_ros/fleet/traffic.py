@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jpap_ros.fleet.arrays import Floats
 from jpap_ros.fleet.separation_check import polyline_distance
-from jpap_ros.fleet.transit import is_clear, straight_convoys
+from jpap_ros.fleet.transit import is_clear, plan_straight
 from jpap_ros.fleet.transit_plan import Convoy, Obstacle, TransitLimits, TransitPlan
 from jpap_ros.fleet.transit_worker import SMALL_FLEET, TransitWorker
 
@@ -155,6 +155,7 @@ class TrafficControl:
         self._tried: _Request | None = None
         self._tried_at = -math.inf
         self._asked: tuple[_Request, Future[TransitPlan]] | None = None
+        self._waiting_since: dict[str, float] = {}
         #: Whether somebody waits for the worker to be free.
         self._unasked = False
         self._worker = TransitWorker()
@@ -355,16 +356,24 @@ class TrafficControl:
         request = self._request(goals, obstacles)
         if not goals or (request == self._tried and now - self._tried_at < RETRY_S):
             return
-        committed = [flight.rest(now) for flight in self._flights]
-        self._begin(now, straight_convoys(request.resting, goals, self.limits, obstacles, committed))
+        plan = plan_straight(
+            request.resting,
+            goals | self._goals_of_stopping(),
+            self.limits,
+            obstacles,
+            [flight.rest(now) for flight in self._flights if not flight.braking],
+            [flight.rest(now) for flight in self._flights if flight.braking],
+        )
+        self._begin(now, plan.convoys)
         goals = self._unreached()
         self._tried, self._tried_at = self._request(goals, obstacles), now
+        goals = self._without_waiting(goals, plan.waiting, now)
         self._unasked = bool(goals) and self._asked is not None
         if not goals or self._unasked:
             return
         committed = [flight.rest(now) for flight in self._flights]
         future = self._worker.submit(self._tried.resting, goals, self.limits, obstacles, committed)
-        self._asked = self._tried, future
+        self._asked = replace(self._tried, goals=goals), future
         future.add_done_callback(lambda _: self._on_plan())
         if self._waits_for_plans:
             wait([future])
@@ -374,6 +383,22 @@ class TrafficControl:
         """Goals of those who rest elsewhere."""
         goals = {name: self._goal(name, place) for name, place in self._resting.items()}
         return {name: goal for name, goal in goals.items() if not _same(goal, self._resting[name])}
+
+    def _goals_of_stopping(self) -> dict[str, Vector]:
+        return {
+            name: self._goal(name, end)
+            for flight in self._flights
+            if flight.braking
+            for name, end in zip(flight.convoy.names, flight.convoy.waypoints[-1], strict=True)
+        }
+
+    def _without_waiting(self, goals: dict[str, Vector], waiting: frozenset[str], now: float) -> dict[str, Vector]:
+        """Leave out those that wait for others to stop, but none of them for longer than a stop takes."""
+        self._waiting_since = {name: self._waiting_since.get(name, now) for name in waiting & goals.keys()}
+        longest_s = self.limits.speed_m_s / self.limits.acceleration_m_s2
+        return {
+            name: goal for name, goal in goals.items() if now - self._waiting_since.get(name, -math.inf) > longest_s
+        }
 
     def _request(self, goals: Mapping[str, Vector], obstacles: tuple[Obstacle, ...]) -> _Request:
         return _Request(goals, dict(self._resting), obstacles, tuple(self._flights))

@@ -72,6 +72,10 @@ def plan_transit(
     >>> round(minimum_separation(plan), 3)
     12.0
     """
+    for convoy in committed:
+        for name in convoy.names:
+            if name in starts:
+                raise ValueError(f"committed has {name!r}, which has a start as well")
     scene = Scene.of(starts, goals, limits, obstacles, committed)
     groups = _groups(scene)
     routes = {route.group: route for route in _straight_routes(scene, groups)}
@@ -94,24 +98,54 @@ def plan_transit(
     return TransitPlan((*convoys, *committed), held)
 
 
-def straight_convoys(
+@dataclass(frozen=True)
+class StraightPlan:
+    """What `plan_straight` finds.
+
+    Attributes
+    ----------
+    convoys : tuple of Convoy
+        Those that can begin.
+    waiting : frozenset of str
+        Aircraft that had better wait until others have stopped, to set out together with them.
+    """
+
+    convoys: tuple[Convoy, ...]
+    waiting: frozenset[str]
+
+
+def plan_straight(
     starts: Mapping[str, ArrayLike],
     goals: Mapping[str, ArrayLike],
     limits: TransitLimits,
     obstacles: Sequence[Obstacle] = (),
     committed: Sequence[Convoy] = (),
-) -> tuple[Convoy, ...]:
-    """Find those that can fly straight to their goals, clear of everybody else; arguments as for `plan_transit`.
+    stopping: Sequence[Convoy] = (),
+) -> StraightPlan:
+    """Find those that can fly straight to their goals, clear of everybody else.
 
-    A small part of that one's work, and for most changes of a plan in force all that is needed.
+    A small part of the work of `plan_transit`, and for most changes of a plan in force all that is needed.
+
+    Parameters
+    ----------
+    starts, goals, limits, obstacles, committed
+        As for `plan_transit`, but `goals` may have those of the aircraft that are stopping.
+    stopping : sequence of Convoy
+        Aircraft that will soon be at rest. They keep what is left of their paths to themselves, as those of
+        `committed` do.
 
     Returns
     -------
-    tuple of Convoy
-        Checked as by `plan_transit`; clear of the straight ways of all that are not among them, too.
+    StraightPlan
+        Its convoys are checked as those of `plan_transit`, and clear of all other straight ways.
     """
-    scene = Scene.of(starts, goals, limits, obstacles, committed)
-    return tuple(route.convoy(scene) for route in _straight_routes(scene, _groups(scene)))
+    ends = {name: end for convoy in stopping for name, end in zip(convoy.names, convoy.waypoints[-1], strict=True)}
+    scene = Scene.of({**starts, **ends}, goals, limits, obstacles, [*committed, *stopping])
+    moving = frozenset(i for i, name in enumerate(scene.names) if name in ends)
+    groups = _groups(scene)
+    waiting = frozenset(scene.names[i] for group in groups if group & moving for i in group - moving)
+    routes = _straight_routes(scene, [group for group in groups if not group & moving])
+    return StraightPlan(tuple(route.convoy(scene) for route in routes), waiting)
 
 
 def is_clear(

@@ -92,10 +92,6 @@ class Scene:
         for name in goals:
             if name not in starts:
                 raise ValueError(f"goals has {name!r}, which has no start")
-        for convoy in committed:
-            for name in convoy.names:
-                if name in starts:
-                    raise ValueError(f"committed has {name!r}, which has a start as well")
         closed = [Closed(obstacle.name, obstacle.column, obstacle.radius_m) for obstacle in obstacles]
         closed += [
             Closed(name, convoy.waypoints[:, i], 0.0) for convoy in committed for i, name in enumerate(convoy.names)
