@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jpap_ros.planning import LinkBudget, solve
-from jpap_ros.planning.allocation import EPA, QDPA, Allocation
+from jpap_ros.planning.allocation import EPA, EPA_COMMON, QDPA, Allocation
 from jpap_ros.planning.link_budget import snr_demand
 from jpap_ros.planning.placement import best_position
 from jpap_ros.planning.reference import drmp_position, lagrange_position, reference_jpap, sum_rate, tight_bound
@@ -58,10 +58,11 @@ def test_case_2_both_find_the_same_rate(rule: Allocation, seed: int) -> None:
     assert sum_rate(found, points, strengths, H2) == pytest.approx(sum_rate(best, points, strengths, H2), abs=2e-3)
 
 
+@pytest.mark.parametrize(("scheme", "rule"), [("jpap", QDPA), ("jpap_epa", EPA), ("jpap_epa_common", EPA_COMMON)])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_listing_taken_literally_gives_the_same_cells(seed: int) -> None:
+def test_the_listing_taken_literally_gives_the_same_cells(seed: int, scheme: str, rule: Allocation) -> None:
     draw = np.random.default_rng(seed)
     positions, rates = draw.uniform(0, 670, (20, 2)), draw.uniform(15, 20, 20)
-    expected = reference_jpap(validate(positions, rates, LINK, None, None, None, 0.0, None, 0), QDPA)
-    found = solve(positions, rates)
+    expected = reference_jpap(validate(positions, rates, LINK, None, None, None, 0.0, None, 0), rule)
+    found = solve(positions, rates, scheme)
     assert [found.cell(uav).tolist() for uav in range(len(found.uav_positions))] == [sorted(c) for c, _ in expected]
