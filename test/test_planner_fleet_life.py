@@ -135,6 +135,17 @@ def test_the_crew_is_launched_and_the_reserve_stays_on_the_ground(world):
     assert sorted(here.bridge.orders) == sorted(("launch", uav) for uav in crew.values())
 
 
+def test_the_crew_is_chosen_by_the_objective_that_is_set(world):
+    # By hand: uav1 is over the west, uav2 2000 m from it and 2400 m from the east; 2000 m is the shortest longest
+    # flight, which crosses over, and least squares would not (2400^2 < 2 * 2000^2).
+    here = world(assignment="bottleneck")
+    for name in UAVS[2:]:
+        here.bridge.states[name].link = VehicleState.LINK_NEVER_SEEN
+    here.bridge.states["uav1"].position = Point(x=-1000.0, y=0.0)
+    here.bridge.states["uav2"].position = Point(x=-440.0, y=1920.0)
+    assert here.served() == {"west": "uav2", "east": "uav1"}
+
+
 def test_a_lost_aircraft_is_replaced_by_a_reserve(world):
     here = world(lost_after_s=1.0)
     crew = here.served()

@@ -296,6 +296,39 @@ def test_goals_go_to_the_aircraft_that_are_nearest(planner, graph):
     assert by_group == {"a": "uav5", "b": "uav6"}
 
 
+#: Squared distances are least in sum where uav2 flies 1200 m to east; if uav1 goes there, nobody flies beyond 1000 m.
+CORNERS = {"west": (0.0, 0.0, 16.0), "east": (1000.0, 0.0, 16.0)}
+STANDS = {"uav1": (0.0, 0.0), "uav2": (280.0, 960.0)}
+
+
+def test_who_flies_where_follows_the_objective_that_is_set(planner, graph):
+    """Oracle: both objectives worked by hand from three distances; 280^2 + 960^2 = 1000^2, 720^2 + 960^2 = 1200^2."""
+    node = planner(uavs=2)
+    for name, (x, y) in STANDS.items():
+        graph.publisher(VehicleState, f"{name}/state", LATCHED).publish(
+            VehicleState(uav=name, link=VehicleState.LINK_CONNECTED, position_valid=True, position=Point(x=x, y=y))
+        )
+    node.said("uav1 is heard", "uav2 is heard")
+
+    def crew():
+        return {cell.device_ids[0]: cell.uav for cell in node.last.cells}
+
+    node.send(CORNERS)
+    node.plan("2 devices joined")
+    assert crew() == {"west": "uav1", "east": "uav2"}
+    assert node.set("assignment", "bottleneck").successful
+    # Who has a cell keeps it: nobody is exchanged in the air because of a parameter.
+    node.plan("parameter assignment is now bottleneck")
+    assert crew() == {"west": "uav1", "east": "uav2"}
+    node.send(departed=CORNERS)
+    node.plan("2 devices left")
+    node.send(CORNERS)
+    graph.wait(lambda: node.last.plan_id == 4, "the fourth plan")
+    assert crew() == {"west": "uav2", "east": "uav1"}
+    refused = node.set("assignment", "shortest")
+    assert not refused.successful and "'shortest'" in refused.reason
+
+
 BAD = {
     "nan position": (device("bad", math.nan, 0.0, 16.0), "position.x", "nan"),
     "infinite position": (device("bad", 0.0, math.inf, 16.0), "position.y", "inf"),

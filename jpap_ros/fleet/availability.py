@@ -207,7 +207,8 @@ class FleetLife:
     """
 
     def __init__(self, policy: FleetPolicy, crew: Mapping[int, str] | None = None) -> None:
-        self._policy = policy
+        #: May be replaced at any time.
+        self.policy = policy
         self._crew: dict[int, str] = dict(crew or {})
         self._reliefs: dict[int, str] = {}
         self._away_since: dict[str, float] = {}
@@ -257,7 +258,7 @@ class FleetLife:
             free=tuple(vehicle.name for vehicle in free),
             reserves=tuple(vehicle.name for vehicle in free if not vehicle.in_air),
             obstacles=tuple(
-                Obstacle(v.name, v.position, radius_m=self._policy.obstacle_radius_m)
+                Obstacle(v.name, v.position, radius_m=self.policy.obstacle_radius_m)
                 for v in vehicles
                 if v.in_air and v.position is not None and not _obeys(v)
             ),
@@ -305,7 +306,7 @@ class FleetLife:
         """Why an aircraft cannot stay on duty; empty where it can."""
         if vehicle is None:
             return "is not in the fleet"
-        if now_s - self._away_since.get(name, now_s) >= self._policy.lost_after_s:
+        if now_s - self._away_since.get(name, now_s) >= self.policy.lost_after_s:
             return "was taken over" if vehicle.link is Link.CONNECTED else "is lost"
         if not _obeys(vehicle):
             return ""
@@ -315,8 +316,8 @@ class FleetLife:
             return "has landed"
         if not vehicle.in_air and name in self._tired:
             return "is too low on battery to take off"
-        if now_s - self._grounded_since.get(name, now_s) >= self._policy.launch_timeout_s:
-            self._barred_until[name] = now_s + self._policy.launch_timeout_s
+        if now_s - self._grounded_since.get(name, now_s) >= self.policy.launch_timeout_s:
+            self._barred_until[name] = now_s + self.policy.launch_timeout_s
             return "has not taken off"
         return ""
 
@@ -332,7 +333,7 @@ class FleetLife:
     def _is_at(self, vehicle: Vehicle, place: tuple[float, float, float]) -> bool:
         if vehicle.position is None or not vehicle.in_air or vehicle.busy or not _obeys(vehicle):
             return False
-        return math.dist(vehicle.position, place) <= self._policy.arrival_radius_m
+        return math.dist(vehicle.position, place) <= self.policy.arrival_radius_m
 
     def _fill(self, free: Sequence[Vehicle], stations: Mapping[int, Station]) -> None:
         """Give cells without an aircraft one of those that are free."""
@@ -361,8 +362,8 @@ class FleetLife:
         chosen = assign(
             [place[:2] for place in places.values()],
             [vehicle.position[:2] for vehicle in free if vehicle.position is not None],
-            objective=self._policy.objective,
-            handicap_m=[0.0 if vehicle.in_air else self._policy.reserve_handicap_m for vehicle in free],
+            objective=self.policy.objective,
+            handicap_m=[0.0 if vehicle.in_air else self.policy.reserve_handicap_m for vehicle in free],
             weights=[stations[cell].weight for cell in places],
         )
         return {cell: free[k].name for cell, k in zip(places, chosen.tolist(), strict=True) if k >= 0}
@@ -380,13 +381,13 @@ class FleetLife:
                 action = Action(Order.LAUNCH, name, reasons[name])
             elif idle and name in self._tired:
                 action = Action(Order.RETURN, name, "low on battery")
-            elif idle and now_s - since >= self._policy.idle_return_s:
+            elif idle and now_s - since >= self.policy.idle_return_s:
                 action = Action(Order.RETURN, name, "no longer needed")
             else:
                 self._ordered.pop(name, None)
                 continue
             order, when = self._ordered.get(name, (None, -math.inf))
-            if order is not action.order or now_s - when >= self._policy.repeat_s:
+            if order is not action.order or now_s - when >= self.policy.repeat_s:
                 self._ordered[name] = action.order, now_s
                 actions.append(action)
         return tuple(actions)
@@ -399,18 +400,18 @@ class FleetLife:
             return False
         if vehicle.in_air:
             return True
-        charged = math.isnan(vehicle.battery) or vehicle.battery >= self._policy.ready_battery
+        charged = math.isnan(vehicle.battery) or vehicle.battery >= self.policy.ready_battery
         return charged and now_s >= self._barred_until.get(vehicle.name, now_s)
 
     def _waiting_place(self, station: Station) -> tuple[float, float, float]:
         east, north, up = station.position
-        return east, north, up + self._policy.station_above_m
+        return east, north, up + self.policy.station_above_m
 
     def _is_low(self, vehicle: Vehicle) -> bool:
-        return vehicle.battery <= self._policy.low_battery or vehicle.charge in (Charge.LOW, Charge.CRITICAL)
+        return vehicle.battery <= self.policy.low_battery or vehicle.charge in (Charge.LOW, Charge.CRITICAL)
 
     def _is_critical(self, vehicle: Vehicle) -> bool:
-        return vehicle.battery <= self._policy.critical_battery or vehicle.charge is Charge.CRITICAL
+        return vehicle.battery <= self.policy.critical_battery or vehicle.charge is Charge.CRITICAL
 
 
 def _obeys(vehicle: Vehicle) -> bool:

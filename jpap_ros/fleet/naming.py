@@ -1,4 +1,4 @@
-"""Which aircraft flies which cell: stable names first, then the least squared distance."""
+"""Which aircraft flies which cell: stable names first, then the shortest flights."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jpap_ros.fleet.assignment import assign
+from jpap_ros.fleet.assignment import OBJECTIVES, assign
 from jpap_ros.fleet.cells import Aircraft, FleetCell
 
 #: An aircraft without telemetry counts as this much farther away [m]: beyond any distance on the map.
@@ -16,13 +16,15 @@ _SILENT_HANDICAP_M = 1e7
 
 
 def name_cells(
-    cells: Sequence[FleetCell], available: Sequence[Aircraft], holders: Mapping[int, str]
+    cells: Sequence[FleetCell],
+    available: Sequence[Aircraft],
+    holders: Mapping[int, str],
+    objective: str = OBJECTIVES[0],
 ) -> tuple[FleetCell, ...]:
     """Give each cell an aircraft.
 
-    A cell keeps the aircraft that it has. The others go to the remaining aircraft such that the sum of squared
-    distances is least, where an aircraft whose telemetry does not arrive is taken only if there are too few whose
-    does.
+    A cell keeps the aircraft that it has. The others go to the remaining aircraft as the objective says, where an
+    aircraft whose telemetry does not arrive is taken only if there are too few whose does.
 
     Parameters
     ----------
@@ -32,6 +34,8 @@ def name_cells(
         If there are fewer than cells, some cells stay without a name.
     holders : mapping of int to str
         Aircraft of each cell in the plan in force, by the cell's id.
+    objective : str
+        Of `assign`.
 
     Returns
     -------
@@ -43,6 +47,7 @@ def name_cells(
     given = assign(
         np.array([cell.position for cell in cells], dtype=np.float64).reshape(-1, 2),
         np.array([craft.position for craft in available], dtype=np.float64).reshape(-1, 2),
+        objective=objective,
         keep=keep,
         keep_margin_m=math.inf,
         handicap_m=_handicap([craft.connected or i in keep for i, craft in enumerate(available)], len(cells)),

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from jpap_ros.fleet.assignment import OBJECTIVES
 from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
 from jpap_ros.fleet.naming import name_cells
 from jpap_ros.planning import Deployment, LinkBudget, solve
@@ -46,6 +47,9 @@ class PlanSettings:
     max_devices_per_uav : int or None
     min_separation_m : float
     time_limit_s : float or None
+    assignment : str
+        Which aircraft takes a cell that has none; see `assign`. It changes no cell, so settings that differ only in
+        it are equal.
     """
 
     scheme: str = "jpap"
@@ -54,6 +58,11 @@ class PlanSettings:
     max_devices_per_uav: int | None = None
     min_separation_m: float = 0.0
     time_limit_s: float | None = None
+    assignment: str = field(default=OBJECTIVES[0], compare=False)
+
+    def __post_init__(self) -> None:
+        if self.assignment not in OBJECTIVES:
+            raise ValueError(f"assignment must be one of {', '.join(OBJECTIVES)}, got {self.assignment!r}")
 
     def limits(self, uavs: int) -> Limits:
         """Return what every plan for so many UAVs has to keep to."""
@@ -262,7 +271,7 @@ def named_plan(
         for k, cell in enumerate(live.cells)
     ]
     return FleetPlan(
-        cells=name_cells(cells, available, holders),
+        cells=name_cells(cells, available, holders, settings.assignment),
         live=live,
         unserved=live.unserved,
         uavs_needed=live.uavs_needed,

@@ -265,6 +265,8 @@ class PlannerNode(ManagedNode):
 
     def _on_parameters(self, changed: dict[str, Any]) -> None:
         self._settings = values(self, self._params)
+        if self._keeper is not None:
+            self._keeper.assign_by(self._settings["assignment"])
         names = sorted(PLAN_PARAMETERS & changed.keys())
         if names and (self._health.plan is not None or self._in_work is not None):
             for name in names:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from jpap_msgs.msg import VehicleState
@@ -77,6 +78,10 @@ class FleetKeeper:
         """Find out anew who flies for which cell."""
         self._life = FleetLife(self._policy, {})
 
+    def assign_by(self, objective: str) -> None:
+        """Choose aircraft by another objective of `assign` from now on."""
+        self._life.policy = replace(self._life.policy, objective=objective)
+
     def close(self) -> None:
         """Leave the bridge's services alone from now on."""
         for client in self._clients.values():
@@ -128,7 +133,7 @@ def fleet_policy(values: Mapping[str, Any]) -> FleetPolicy:
     """Fleet policy of parameter values by name; StartError if they contradict each other."""
     names = ("low_battery", "critical_battery", "ready_battery", "lost_after_s", "idle_return_s")
     try:
-        return FleetPolicy(**{name: values[name] for name in names})
+        return FleetPolicy(objective=values["assignment"], **{name: values[name] for name in names})
     except ValueError as error:
         raise StartError(f"parameters of the fleet's life: {error}") from None
 

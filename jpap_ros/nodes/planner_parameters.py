@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
+from jpap_ros.fleet.assignment import OBJECTIVES
 from jpap_ros.fleet.availability import FleetPolicy
 from jpap_ros.fleet.plan import PlanSettings
 from jpap_ros.nodes.parameters import Param, fleet_file
@@ -31,6 +32,12 @@ def planner_parameters() -> tuple[Param, ...]:
         Param("bandwidth_hz", 1.0, "Bandwidth of a device's channel; divides demands in bit/s [Hz]", 1e-3, 1e12),
         Param("max_devices_per_uav", 0, "Most devices that one UAV serves; 0: no limit", 0, 100_000),
         Param("min_separation_m", 15.0, "Least horizontal distance between two goals [m]", 0.0, 10_000.0),
+        Param(
+            "assignment",
+            OBJECTIVES[0],
+            "Which aircraft takes a cell that has none: least sum of squared distances, or shortest longest flight",
+            choices=OBJECTIVES,
+        ),
         Param("time_limit_s", 10.0, "Longest time for one plan; 0: no limit [s]", 0.0, 3600.0),
         Param(
             "debounce_s",
@@ -94,6 +101,7 @@ PLAN_PARAMETERS = frozenset(
         "bandwidth_hz",
         "max_devices_per_uav",
         "min_separation_m",
+        "assignment",
         "time_limit_s",
     }
 )
@@ -110,6 +118,7 @@ def plan_settings(values: dict[str, Any]) -> PlanSettings:
         max_devices_per_uav=values["max_devices_per_uav"] or None,
         min_separation_m=values["min_separation_m"],
         time_limit_s=values["time_limit_s"] or None,
+        assignment=values["assignment"],
     )
 
 
