@@ -15,7 +15,7 @@ from jpap_ros.mavlink.streams import WANTED, Wanted
 #: Shares of the budget: above the first rates are lowered, below the second they are raised, and both aim at the third.
 TOO_MUCH, ROOM, AIM = 1.0, 0.75, 0.9
 #: A change shows whole in the measurement after this long: its window, and a vehicle asked after the other [s].
-SETTLE_S = 8.0
+SETTLE_S = 7.0
 #: Priority of what nobody asked for: it goes first.
 _UNASKED_PRIORITY = 4
 
