@@ -36,6 +36,7 @@ GOOD = AircraftSnapshot(
     enu_m=(1.0, 2.0, 50.0),
     geoid_separation_m=4.5,
     setpoint_rate_hz=5.0,
+    flown=True,
     goal_state=GoalState.REACHED,
     goal_reason="",
     goal_plan_id=7,

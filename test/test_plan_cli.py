@@ -405,6 +405,14 @@ def test_columns_in_any_order_and_case_with_others_between(tmp_path: Path, capsy
     assert capsys.readouterr().err == "plan: columns not used: note\n"
 
 
+def test_a_suffix_in_capitals_and_a_character_that_only_looks_like_a_new_line(tmp_path: Path) -> None:
+    devices, out = tmp_path / "D.CSV", tmp_path / "MAP.PNG"
+    devices.write_text("id,x,y,rate_demand\nroof\u2028top,1,2,16\n", encoding="utf-8")
+    assert [device.id for device in read_devices(devices).devices(None)] == ["roof\u2028top"]
+    assert main([str(devices), "--scheme", "jpap", "--output", str(out)]) == 0
+    assert imread(out).std() > 0
+
+
 @pytest.fixture(scope="module")
 def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("scratch")

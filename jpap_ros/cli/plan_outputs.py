@@ -22,6 +22,8 @@ from jpap_ros.study.style import METADATA, figure_style, write
 
 #: Formats of a picture.
 PICTURES = tuple(METADATA)
+#: With more UAVs than these a picture names none: names would hide one another.
+MAX_NAMES = 60
 
 
 def write_plan(path: Path, plan: NamedPlan) -> None:
@@ -42,7 +44,8 @@ def write_plan(path: Path, plan: NamedPlan) -> None:
     """
     suffix = path.suffix.lower()
     if suffix in PICTURES:
-        _draw(path, plan.devices, [plan.deployment], plan.uavs, proof_line(plan.deployment))
+        names = plan.uavs if len(plan.uavs) <= MAX_NAMES else ()
+        _draw(path, plan.devices, [plan.deployment], names, proof_line(plan.deployment))
     else:
         _write_text(path, _TEXTS[suffix](plan))
 

@@ -107,4 +107,4 @@ def save(figure: Figure, path: Path) -> list[Path]:
 def write(figure: Figure, path: Path) -> None:
     """Write a figure as what its suffix says, `.png` or `.svg`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, bbox_inches="tight", metadata=METADATA[path.suffix])
+    figure.savefig(path, bbox_inches="tight", metadata=METADATA[path.suffix.lower()])
