@@ -60,6 +60,7 @@ class FleetView:
         self._told_devices: dict[str, Json] = {}
         self._told_health: Json = {}
         self._told_event = 0
+        self._changed_uavs = set(self.names)
         self._changed_devices: set[str] = set()
         self._plan_changed = False
         self._told_s = -math.inf
@@ -82,12 +83,14 @@ class FleetView:
         for level, text in vehicle_lines(name, self.vehicles.get(name), vehicle):
             self.log.add(level, "aircraft", text)
         self.vehicles[name] = vehicle
+        self._changed_uavs.add(name)
 
     def set_goal(self, name: str, goal: Point) -> None:
         """Take in where an aircraft should hover."""
         self._touch()
         if all(map(math.isfinite, goal)):
             self._goals[name] = goal
+            self._changed_uavs.add(name)
 
     def set_devices(self, devices: Iterable[Device], changes: Changes) -> None:
         """Take in all present devices, and what has just changed of them."""
@@ -116,6 +119,7 @@ class FleetView:
             if cell.uav in self._told_uavs and all(map(math.isfinite, cell.position)):
                 self._goals[cell.uav] = cell.position
         self.plan, self._plan_changed = plan, True
+        self._changed_uavs |= set(self.names)
         self._changed_devices |= set(self.devices)
 
     def set_statuses(self, statuses: Iterable[Status]) -> None:
@@ -131,10 +135,13 @@ class FleetView:
             if line and not self._is_told(status):
                 self.log.add(line[0], "node", line[1])
             self._statuses[key] = status
+            if status.part in self._told_uavs:
+                self._changed_uavs.add(status.part)
 
     def set_roles(self, planners: Iterable[str], bridges: Iterable[str]) -> None:
         """Take in which nodes publish the deployment, and which the aircraft's states."""
         self._planners, self._bridges = frozenset(planners), frozenset(bridges)
+        self._changed_uavs |= set(self.names)
 
     def _is_told(self, status: Status) -> bool:
         """Whether an aircraft's own state says the same, or will: the log must not say it twice."""
@@ -157,7 +164,7 @@ class FleetView:
         return {
             "type": "snapshot",
             "now": time.time(),
-            "uavs": {name: self._uav(name) for name in self.names},
+            "uavs": {name: self._state(name) | self._motion(name) for name in self.names},
             "tracks": {name: list(track) for name, track in self._tracks.items() if track},
             "devices": {name: self._device(name, self._places()) for name in self.devices},
             "plan": self._plan(),
@@ -170,10 +177,14 @@ class FleetView:
         delta: Json = {"type": "delta", "now": time.time()}
         uavs = {}
         for name in self.names:
-            entry = self._uav(name)
-            if changed := _difference(self._told_uavs[name], entry):
+            entry = self._motion(name)
+            if name in self._changed_uavs:
+                entry |= self._state(name)
+            told = self._told_uavs[name]
+            if changed := _difference(told, entry):
                 uavs[name] = changed
-                self._told_uavs[name] = entry
+                told.update(changed)
+        self._changed_uavs.clear()
         devices: Json = {}
         if self._changed_devices:
             places = self._places()
@@ -201,13 +212,14 @@ class FleetView:
             self._told_event = self.log.last
         return delta
 
-    def _uav(self, name: str) -> Json:
+    def _state(self, name: str) -> Json:
+        """What changes now and then of an aircraft."""
         vehicle = self.vehicles.get(name)
-        pose, goal = self._poses.get(name), self._goals.get(name)
+        goal = self._goals.get(name)
         entry: Json = {"goal_at": None if goal is None else [_tenth(value) for value in goal]}
         if vehicle is None:
             return entry | {"link": "never seen"}
-        entry |= {
+        return entry | {
             "link": vehicle.link,
             "autopilot": vehicle.autopilot,
             "mode": vehicle.mode,
@@ -221,9 +233,15 @@ class FleetView:
             "plan_id": vehicle.plan_id,
             "reason": vehicle.reason,
             "distance": None if vehicle.distance_m is None else _tenth(vehicle.distance_m),
-            "age": _finite(self._age(f"pose {name}")),
             **self._link_figures(name),
         }
+
+    def _motion(self, name: str) -> Json:
+        """What changes with every pose."""
+        vehicle, pose = self.vehicles.get(name), self._poses.get(name)
+        if vehicle is None:
+            return {}
+        entry: Json = {"age": _finite(self._age(f"pose {name}"))}
         position = pose.position if pose is not None else vehicle.position
         if position is not None:
             entry["x"], entry["y"], entry["z"] = (_tenth(value) for value in position)
