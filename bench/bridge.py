@@ -1,9 +1,10 @@
 """What the bridge costs: one fleet controller with 200 vehicles, and MAVSDK's Python binding beside it in the same run.
 
-Three processes: the simulated vehicles, the bridge's fleet controller (as in the node, without DDS), and MAVSDK with a
-few of the vehicles, which gets the same telemetry and streams targets at the same rate. CPU is that of the whole
-process (`os.times`), shares are of one core. The time of a goal is from `set_goal` to the first target that differs
-from the one before, handed to the socket.
+Four processes at the same time: the bridge's fleet controller (as in the node, without DDS) and its simulated vehicles,
+MAVSDK with a few vehicles of its own, which gets the same telemetry and streams targets at the same rate, and those
+vehicles. CPU and memory are those of a process with its children (the bridge plans some transitions in one), shares are
+of one core. The time of a goal is from `set_goal` to the first target that differs from the one before, handed to the
+socket.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ import multiprocessing
 import os
 import pstats
 import random
-import resource
 import socket
 import time
 from collections import defaultdict
 from concurrent.futures import wait
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,8 @@ from jpap_ros.sim import SimFleet
 
 ORIGIN = MapOrigin(-37.8136, 144.9631, 20.0)
 PITCH_M = 20.0
+#: No target has changed for so long: nobody is on the way any more [s].
+HOVER_S = 3.0
 TARGET_HZ, TELEMETRY_HZ = 10.0, 20.0
 HEIGHT_M, STEP_UP_M, SHIFT_M = 50.0, 4.0, 200.0
 #: Everything that may be waited for [s].
@@ -88,10 +91,27 @@ def simulate(fleets: list[FleetConfig], pipe: Connection) -> None:
             pipe.send(([sum(c.sent for v in sim for c in v.channels) for sim in sims], cpu_s(), time.monotonic()))
 
 
+def family() -> list[Path]:
+    """Entries in /proc of this process and its children."""
+    own = Path("/proc/self")
+    children = [child for task in own.glob("task/*/children") for child in task.read_text().split()]
+    return [own, *(Path("/proc") / child for child in children)]
+
+
 def cpu_s() -> float:
-    """CPU time of this process [s]."""
-    times = os.times()
-    return times.user + times.system
+    """CPU time of this process and its children [s]."""
+    ticks = 0
+    for process in family():
+        # After the name, which may hold spaces: utime and stime are fields 14 and 15 of proc(5)'s stat.
+        fields = (process / "stat").read_text().rpartition(")")[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def peak_mib() -> float:
+    """Most memory that this process and its children ever had [MiB]; together no more than this sum."""
+    lines = [line for process in family() for line in (process / "status").read_text().splitlines()]
+    return sum(int(line.split()[1]) for line in lines if line.startswith("VmHWM:")) / 1024
 
 
 class Wire:
@@ -122,6 +142,14 @@ class Wire:
             self._last[sysid] = target
             self.changes[sysid].append(now)
 
+    def wait_for_hover(self) -> None:
+        """Wait until no target has changed for a while."""
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < max(max(at) for at in self.changes.values()) + HOVER_S:
+            if time.monotonic() > deadline:
+                raise TimeoutError("targets keep moving")
+            time.sleep(0.1)
+
     def first_change(self, sysid: int, after: float) -> float:
         """When the target first differed after a moment; waits for it."""
         deadline = time.monotonic() + PATIENCE_S
@@ -148,7 +176,8 @@ def serve(fleet: FleetConfig, traffic: bool, seconds: float, profile: bool, pipe
     wire = Wire()
     snapshots: dict[str, Any] = {}
     controller = FleetController(fleet, settings, lambda snapshot: snapshots.update({snapshot.name: snapshot}))
-    profiler = cProfile.Profile()
+    # CPU time: what other processes take is not the bridge's.
+    profiler = cProfile.Profile(time.thread_time)
     if profile:
         run = controller._run
         controller._thread._target = lambda: profiler.runcall(run)  # type: ignore[attr-defined]
@@ -161,6 +190,7 @@ def serve(fleet: FleetConfig, traffic: bool, seconds: float, profile: bool, pipe
                 bad = [m for m in missing if m[1] != "REACHED"]
                 raise TimeoutError(f"{what}: {len(bad)} of {len(fleet.names)} not there: {bad[:3]}")
             time.sleep(0.1)
+        wire.wait_for_hover()
         return time.monotonic() - start
 
     def share(what: str, run_s: float) -> float:
@@ -198,23 +228,34 @@ def serve(fleet: FleetConfig, traffic: bool, seconds: float, profile: bool, pipe
         print(f"  one goal after another, {len(delays)} of them: {percentiles(delays)}", flush=True)
         until_settled("single goals")
 
-        given = time.monotonic()
-        for name, goal in goals.items():
-            controller.set_goal(name, Goal(goal.east_m, goal.north_m + SHIFT_M, HEIGHT_M))
-        handed = time.monotonic() - given
-        delays = [wire.first_change(sysid, given) - given for sysid in sysids.values()]
-        print(f"  a plan for all (given within {1e3 * handed:.1f} ms): {percentiles(delays)}", flush=True)
+        def plan_for_all(what: str) -> None:
+            given = time.monotonic()
+            for name, goal in goals.items():
+                controller.set_goal(name, goal)
+            handed = time.monotonic() - given
+            delays = [wire.first_change(sysid, given) - given for sysid in sysids.values()]
+            print(f"  {what} (given within {1e3 * handed:.1f} ms): {percentiles(delays)}", flush=True)
+
+        goals = {name: Goal(goal.east_m, goal.north_m + SHIFT_M, HEIGHT_M) for name, goal in goals.items()}
+        plan_for_all("a plan for all")
         pipe.send("even")
         share("all on their way", min(seconds, 10.0))
         until_settled("plan for all")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"  peak memory {peak:.0f} MiB", flush=True)
+
+        pairs = list(zip(fleet.names[::2], fleet.names[1::2], strict=False))
+        goals |= {one: goals[other] for pair in pairs for one, other in (pair, pair[::-1])}
+        plan_for_all("all exchange places in pairs")
+        until_settled("exchange")
+        print(f"  peak memory {peak_mib():.0f} MiB", flush=True)
     if profile:
         pstats.Stats(profiler).sort_stats("tottime").print_stats(25)
 
 
 def stream_by_mavsdk(fleet: FleetConfig, seconds: float, pipe: Connection) -> None:
     """Child: MAVSDK does the same for a few vehicles, through its API."""
+    # Its library tells every step of its own on the standard output.
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
     client = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
     (port,) = {uav.urls[0].port for uav in fleet.uavs}
     client.add_any_connection(f"udpin://127.0.0.1:{port}")
@@ -258,6 +299,10 @@ def stream_by_mavsdk(fleet: FleetConfig, seconds: float, pipe: Connection) -> No
     for one in offboard:
         until(lambda one=one: succeeds(one.start))
     pipe.send("even")
+    while not pipe.poll():
+        # The stream must not end while the bridge gets ready.
+        send(HEIGHT_M)
+        time.sleep(1 / TARGET_HZ)
     pipe.recv()
     start, cpu, sent = time.monotonic(), cpu_s(), 0
     while time.monotonic() - start < seconds:
@@ -281,62 +326,77 @@ def main() -> None:
     args = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}", flush=True)
     context = multiprocessing.get_context("spawn")
-    hover = math.nan
     for traffic in {"both": [False, True], "on": [True], "off": [False]}[args.traffic]:
-        fleet = fleet_of(args.vehicles, min(args.links, args.vehicles))
-        job = (serve, (fleet, traffic, args.seconds, args.profile))
-        hover = run_beside(context, fleet, job, measurements=2)[0]
-    if args.mavsdk_vehicles:
-        print(f"MAVSDK, {args.mavsdk_vehicles} vehicles", flush=True)
-        fleet = fleet_of(args.mavsdk_vehicles, 1)
-        (theirs,) = run_beside(context, fleet, (stream_by_mavsdk, (fleet, args.seconds)), measurements=1)
-        ours_each, theirs_each = 100 * hover / args.vehicles, 100 * theirs / args.mavsdk_vehicles
-        print(f"  streaming: {100 * theirs:.1f} % of a core")
-        print(
-            f"CPU a vehicle: bridge {ours_each:.3f} % of a core, MAVSDK {theirs_each:.3f} %, "
-            f"ratio {theirs_each / ours_each:.1f}"
-        )
+        with contextlib.ExitStack() as stack:
+            fleet = fleet_of(args.vehicles, min(args.links, args.vehicles))
+            bridge = stack.enter_context(Side(context, fleet, serve, traffic, args.seconds, args.profile))
+            sides = [bridge]
+            if args.mavsdk_vehicles:
+                fleet = fleet_of(args.mavsdk_vehicles, 1)
+                sides.append(stack.enter_context(Side(context, fleet, stream_by_mavsdk, args.seconds)))
+            shares = measure(sides)
+            if args.mavsdk_vehicles:
+                ours, theirs = (100 * share / len(side.names) for share, side in zip(shares, sides, strict=True))
+                print(
+                    f"  at the same time MAVSDK, {args.mavsdk_vehicles} vehicles: {100 * shares[1]:.1f} % of a core; "
+                    f"a vehicle: bridge {ours:.3f} %, MAVSDK {theirs:.3f} %, ratio {theirs / ours:.1f}",
+                    flush=True,
+                )
+            measure([bridge])
+            bridge.finish()
 
 
-def run_beside(context: Any, fleet: FleetConfig, job: tuple[Any, tuple[Any, ...]], measurements: int) -> list[float]:
-    """Run a client in a process of its own beside the vehicles in another; returns the shares that it measured."""
-    sim_end, sim_far = context.Pipe()
-    client_end, client_far = context.Pipe()
-    vehicles = context.Process(target=simulate, args=([fleet], sim_far), daemon=True)
-    vehicles.start()
-    sim_end.recv()
-    function, arguments = job
-    client = context.Process(target=function, args=(*arguments, client_far), daemon=True)
-    client.start()
-    client_far.close()
-    shares = []
+class Side:
+    """A client in a process of its own, and its vehicles in another."""
+
+    def __init__(self, context: Any, fleet: FleetConfig, job: Any, *arguments: Any) -> None:
+        self.names = fleet.names
+        self.sim, sim_far = context.Pipe()
+        self.client, client_far = context.Pipe()
+        self._vehicles = context.Process(target=simulate, args=([fleet], sim_far), daemon=True)
+        self._vehicles.start()
+        self.sim.recv()
+        self._job = context.Process(target=job, args=(fleet, *arguments, client_far), daemon=True)
+        self._job.start()
+        client_far.close()
+
+    def ask_vehicles(self, order: str) -> Any:
+        self.sim.send(order)
+        return self.sim.recv()
+
+    def finish(self) -> None:
+        """Wait until the client has told all its figures."""
+        self._job.join()
+
+    def __enter__(self) -> Side:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in (self._job, self._vehicles):
+            process.terminate()
+            process.join()
+
+
+def measure(sides: list[Side]) -> list[float]:
+    """Let clients measure their share of a core at the same time, each with even telemetry."""
     try:
-        for _ in range(measurements):
-            client_end.recv()
-            sim_end.send("even")
-            sim_end.recv()
-            sim_end.send("count")
-            (before,), cpu_before, start = sim_end.recv()
-            client_end.send("go")
-            shares.append(client_end.recv())
-            sim_end.send("count")
-            (after,), cpu_after, end = sim_end.recv()
-            print(
-                f"    (telemetry {(after - before) / (end - start) / len(fleet.uavs):.1f} messages/s of each; the "
-                f"vehicles themselves {100 * (cpu_after - cpu_before) / (end - start):.0f} % of a core)",
-                flush=True,
-            )
-        client.join(PATIENCE_S)
-        if client.exitcode != 0:
-            raise SystemExit(f"the client ended with {client.exitcode}")
+        for side in sides:
+            side.client.recv()
+        for side in sides:
+            side.ask_vehicles("even")
+        before = [side.ask_vehicles("count") for side in sides]
+        for side in sides:
+            side.client.send("go")
+        shares = [side.client.recv() for side in sides]
     except EOFError:
-        raise SystemExit("the client failed") from None
-    finally:
-        sim_end.send("stop")
-        vehicles.join(PATIENCE_S)
-        for process in (client, vehicles):
-            if process.is_alive():
-                process.terminate()
+        raise SystemExit("a client failed") from None
+    for side, ((sent,), cpu, start) in zip(sides, before, strict=True):
+        (sent_now,), cpu_now, end = side.ask_vehicles("count")
+        print(
+            f"    (telemetry {(sent_now - sent) / (end - start) / len(side.names):.1f} messages/s of each of "
+            f"{len(side.names)}; the vehicles themselves {100 * (cpu_now - cpu) / (end - start):.0f} % of a core)",
+            flush=True,
+        )
     return shares
 
 
