@@ -254,7 +254,7 @@ def serve(fleet: FleetConfig, traffic: bool, seconds: float, profile: bool, pipe
 def stream_by_mavsdk(fleet: FleetConfig, seconds: float, pipe: Connection) -> None:
     """Child: MAVSDK does the same for a few vehicles, through its API."""
     # Its library tells every step of its own on the standard output.
-    with open(os.devnull, "w") as nowhere:
+    with Path(os.devnull).open("w") as nowhere:
         os.dup2(nowhere.fileno(), 1)
     client = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
     (port,) = {uav.urls[0].port for uav in fleet.uavs}
