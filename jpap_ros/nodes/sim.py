@@ -116,7 +116,7 @@ class SimNode(Node):
         return DiagnosticStatus(
             level=DiagnosticStatus.WARN if problem else DiagnosticStatus.OK,
             name=f"{self.get_fully_qualified_name().lstrip('/')}: {vehicle.name}",
-            message=problem or "flying",
+            message=problem or ("armed" if vehicle.armed else "ready"),
             hardware_id=vehicle.name,
             values=[KeyValue(key=key, value=value) for key, value in shown.items()],
         )
