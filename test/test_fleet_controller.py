@@ -37,6 +37,7 @@ from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetControlle
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.mavlink.guards import GoalLimits
 from jpap_ros.mavlink.vehicle import LinkState
+from jpap_ros.sim import Fence as SimFence
 from jpap_ros.sim import SimFleet, VehicleOptions
 
 AUTOPILOTS = ("ardupilot", "px4")
@@ -181,7 +182,8 @@ def test_any_order_of_starting_on_any_link(rig: Rig, kind: str, bridge_first: bo
 def test_goals_by_reposition_command(rig: Rig) -> None:
     """Neither autopilot is sent a setpoint; PX4 takes goals in Hold."""
     fleet = rig.mixed(ardupilot={"autopilot": "ardupilot"}, px4={"autopilot": "px4"})
-    sim, controller = rig.launched(fleet, transport=Transport.REPOSITION)
+    fenced = VehicleOptions(fence=SimFence(radius_m=200.0))
+    sim, controller = rig.launched(fleet, {"px4": fenced}, transport=Transport.REPOSITION)
     for goal in (Goal(40.0, 30.0, 30.0, plan_id=1), Goal(10.0, -20.0, 40.0, plan_id=2)):
         for name in fleet.names:
             controller.set_goal(name, goal)
@@ -193,6 +195,10 @@ def test_goals_by_reposition_command(rig: Rig) -> None:
         sent = commands(sim[name], mavlink.MAV_CMD_DO_REPOSITION)
         assert [m.get_type() for m in sent] == ["COMMAND_INT"] * len(sent) and len(sent) >= 2
         assert len(commands(sim[name], ARM)) == len(commands(sim[name], TAKEOFF)) == 1
+    # PX4 acknowledges what its fence forbids, and stays.
+    controller.set_goal("px4", Goal(400.0, 0.0, 30.0, plan_id=3))
+    rejected = rig.watch.until_goal("px4", GoalState.REJECTED, 3)
+    assert "has not been flown" in rejected.goal_reason and "outside geofence" in rejected.goal_reason
 
 
 def test_how_aircraft_are_left_when_the_bridge_stops(rig: Rig) -> None:

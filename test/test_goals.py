@@ -47,6 +47,31 @@ def test_an_echo_within_two_units_is_the_target(off: tuple[int, int]) -> None:
     assert life.state is GoalState.ACCEPTED
 
 
+def test_an_answer_alone_is_no_flight() -> None:
+    """PX4 acknowledges a DO_REPOSITION outside its fence, and stays."""
+    life = sent()
+    life.answered(12.0)
+    assert life.state is GoalState.ACCEPTED
+    life.tick(16.9, "")
+    assert life.state is GoalState.ACCEPTED
+    life.tick(17.1, "Reposition is outside geofence")
+    assert life.state is GoalState.REJECTED
+    assert "accepted but has not been flown" in life.reason and life.reason.endswith("outside geofence")
+
+
+def test_an_answer_and_a_flight_are_enough() -> None:
+    life = sent()
+    life.answered(12.0)
+    life.moved(99.0)
+    life.tick(30.0, "")
+    assert life.state is GoalState.EN_ROUTE
+    echoed = sent()
+    echoed.answered(12.0)
+    echoed.echoed(echo(*TARGET))
+    echoed.tick(30.0, "")
+    assert echoed.state is GoalState.ACCEPTED
+
+
 def test_an_echo_of_another_target_is_no_acceptance_and_is_told() -> None:
     life = sent()
     life.echoed(echo(TARGET[0] + 3, TARGET[1]))

@@ -634,7 +634,7 @@ class Aircraft:
         if outcome is None or self._sent_target is not self._goal_target:
             return
         if outcome.accepted:
-            self.life.acknowledged()
+            self.life.answered(self.now)
         else:
             words = self.vehicle.words_since(self.life.sent_at)
             self.life.refused(f"{outcome.reason}: {words}" if words else outcome.reason)

@@ -84,6 +84,7 @@ class GoalLife:
         self._moving = False
         self._distance_when_sent_m = math.nan
         self._other_echo: tuple[int, int] | None = None
+        self._answered = False
 
     @property
     def flying(self) -> bool:
@@ -112,6 +113,7 @@ class GoalLife:
         self._sent_at = self._obey_from = now
         self._distance_when_sent_m = math.nan
         self._other_echo = None
+        self._answered = False
         self.state = GoalState.SENT
         self.reason = ""
 
@@ -141,15 +143,22 @@ class GoalLife:
     def echoed(self, echo: TargetEcho) -> None:
         """The autopilot says where it is going."""
         if self.is_target(echo):
+            self._answered = False
             self.acknowledged()
         elif self._target_e7 is not None:
             self._other_echo = echo.lat_e7, echo.lon_e7
 
     def acknowledged(self) -> None:
-        """The autopilot took the goal, by echo or by COMMAND_ACK."""
+        """The autopilot took the goal."""
         if self.state is GoalState.SENT or self.unobeyed:
             self.state = GoalState.ACCEPTED
             self.reason = ""
+
+    def answered(self, now: float) -> None:
+        """The autopilot took the goal by COMMAND_ACK: PX4 does so and stays where it is, if its fence forbids it."""
+        self.acknowledged()
+        self._answered = True
+        self._obey_from = now
 
     def refused(self, reason: str) -> None:
         """The autopilot answered no."""
@@ -175,16 +184,19 @@ class GoalLife:
             self.reason = ""
 
     def tick(self, now: float, words: str) -> None:
-        """Notice that nothing shows obedience.
+        """Notice that nothing shows obedience: a goal is neither echoed nor flown, or only answered.
 
         Parameters
         ----------
         words : str
             The autopilot's own, since the target was sent.
         """
-        if self.state is not GoalState.SENT or now - self._obey_from < OBEY_TIMEOUT_S:
+        only_answered = self.state is GoalState.ACCEPTED and self._answered
+        if (self.state is not GoalState.SENT and not only_answered) or now - self._obey_from < OBEY_TIMEOUT_S:
             return
-        if self._other_echo is None:
+        if only_answered:
+            reason = f"the goal was accepted but has not been flown for {OBEY_TIMEOUT_S:.0f} s"
+        elif self._other_echo is None:
             reason = f"targets are sent but the autopilot has shown no sign of obeying for {OBEY_TIMEOUT_S:.0f} s"
         else:
             lat, lon = (value / 1e7 for value in self._other_echo)
