@@ -150,6 +150,11 @@ class DashboardServer:
         self._runner: web.AppRunner | None = None
 
     @property
+    def open_pages(self) -> int:
+        """How many pages are connected; may be read from any thread."""
+        return self._open
+
+    @property
     def port(self) -> int:
         """The port that it listens on."""
         assert self._server is not None

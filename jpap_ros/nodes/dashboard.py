@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from jpap_msgs.msg import Deployment, DeviceUpdate, GeoDeviceUpdate, VehicleState
 from jpap_msgs.srv import FleetCommand
@@ -86,7 +86,8 @@ class DashboardNode(Node):
             tile_url=settings["tile_url"],
             page=_page(fleet, settings),
         )
-        server = DashboardServer(server_settings, access, self._view, self._inbox, self)
+        self._server = server = DashboardServer(server_settings, access, self._view, self._inbox, self)
+        self._max_clients: int = settings["max_clients"]
         self._failed = self.create_guard_condition(self._on_failure)
         self._thread = ServerThread(server, self._failed.trigger)
         try:
@@ -104,6 +105,7 @@ class DashboardNode(Node):
             self.create_subscription(VehicleState, f"{name}/state", partial(self._on_state, name), LATCHED)
             self.create_subscription(PoseStamped, f"{name}/pose", partial(self._on_pose, name), SENSOR_DATA)
             self.create_subscription(PoseStamped, f"{name}/goal_pose", partial(self._on_goal, name), LATCHED)
+        self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._states_topic = self.resolve_topic_name(f"{fleet.names[0]}/state")
         self.create_timer(1.0, self._look_round, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -150,6 +152,19 @@ class DashboardNode(Node):
 
         planners = publishers(self.resolve_topic_name("deployment"))
         self._inbox.put(partial(self._view.set_roles, planners, publishers(self._states_topic)))
+        self._diagnostics_out.publish(self._diagnostics())
+
+    def _diagnostics(self) -> DiagnosticArray:
+        pages, most = self._server.open_pages, self._max_clients
+        full = pages >= most
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if full else DiagnosticStatus.OK,
+            name=f"{self.get_fully_qualified_name()}: page",
+            message="no more pages are let in: close some, or raise max_clients" if full else f"{pages} pages open",
+            values=[KeyValue(key="pages open", value=str(pages)), KeyValue(key="pages at most", value=str(most))],
+        )
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self._map_frame)
+        return DiagnosticArray(header=header, status=[status])
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text)
