@@ -33,7 +33,7 @@ from jpap_ros.mavlink.muster import Muster
 from jpap_ros.mavlink.resumption import resume
 from jpap_ros.mavlink.routing import Forwarder
 from jpap_ros.mavlink.sightings import Sightings
-from jpap_ros.mavlink.snapshot import AircraftSnapshot, snapshot_of
+from jpap_ros.mavlink.snapshot import AircraftSnapshot, condition_of, position_of, snapshot_of
 from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT
 
 HEARTBEAT_S = 1.0
@@ -489,11 +489,12 @@ class FleetController:
         self._tell(member)
 
     def _tell(self, member: _Member) -> None:
-        snapshot = snapshot_of(member.aircraft)
-        if snapshot.condition != member.told or snapshot.position is not member.told_position:
-            member.told = snapshot.condition
-            member.told_position = snapshot.position
-            self._on_snapshot(snapshot)
+        # Looked at often, and copied only where there is something to tell.
+        condition, position = condition_of(member.aircraft), position_of(member.aircraft)
+        if condition != member.told or position is not member.told_position:
+            member.told = condition
+            member.told_position = position
+            self._on_snapshot(snapshot_of(member.aircraft, condition))
 
     def _send(self, name: str, message: Any) -> bool:
         member = self._members[name]

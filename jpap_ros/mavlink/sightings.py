@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable
 from typing import Generic, TypeVar
 
@@ -33,6 +34,8 @@ class Sightings(Generic[Address]):
         self._heard: dict[int, dict[Address, float]] = {}
         self._contested: set[int] = set()
         self._last: dict[Address, float] = {}
+        #: Nothing can fall silent before.
+        self._expire_after = math.inf
 
     def alive(self, address: Address, now: float) -> None:
         """Take any message from an address that beats."""
@@ -47,6 +50,7 @@ class Sightings(Generic[Address]):
             self._contested.add(link)
         on_link.pop(address, None)
         on_link[address] = self._last[address] = now
+        self._expire_after = min(self._expire_after, now + self.silent_after_s)
 
     def duplicates(self, now: float) -> tuple[Address, ...]:
         """Addresses that share the id on one link; empty in good order."""
@@ -76,6 +80,8 @@ class Sightings(Generic[Address]):
         self._last.clear()
 
     def _expire(self, now: float) -> None:
+        if now <= self._expire_after:
+            return
         for link, on_link in list(self._heard.items()):
             for address, at in list(on_link.items()):
                 if now - at > self.silent_after_s:
@@ -85,3 +91,5 @@ class Sightings(Generic[Address]):
                 self._contested.discard(link)
             if not on_link:
                 del self._heard[link]
+        oldest = min((at for on_link in self._heard.values() for at in on_link.values()), default=math.inf)
+        self._expire_after = oldest + self.silent_after_s

@@ -43,6 +43,8 @@ class AircraftSnapshot:
         Since the bridge started.
     flown : bool
         The bridge flies it to its goals, or is about to.
+    condition : tuple
+        What makes a change worth telling at once; see `condition_of`.
     """
 
     name: str
@@ -66,30 +68,38 @@ class AircraftSnapshot:
     problems: tuple[str, ...]
     reboots: int
     flown: bool
-
-    @property
-    def condition(self) -> tuple[object, ...]:
-        """What makes a change worth telling at once: everything but the figures that always move."""
-        return (
-            self.link,
-            self.autopilot,
-            self.mode,
-            self.armed,
-            self.landed_state,
-            self.system_status,
-            self.battery.charge_state,
-            self.goal_state,
-            self.goal_reason,
-            self.goal_plan_id,
-            self.problems,
-            self.flown,
-        )
+    condition: tuple[object, ...] = ()
 
 
-def snapshot_of(aircraft: Aircraft) -> AircraftSnapshot:
-    """Copy the present state; a position that is too old is left out."""
+def condition_of(aircraft: Aircraft) -> tuple[object, ...]:
+    """What makes a change worth telling at once: everything but the figures that always move."""
     vehicle, life = aircraft.vehicle, aircraft.life
-    fresh = vehicle.position_fresh(aircraft.now)
+    return (
+        vehicle.link,
+        aircraft.autopilot,
+        vehicle.custom_mode,
+        vehicle.armed,
+        vehicle.landed_state,
+        vehicle.system_status,
+        vehicle.battery.charge_state,
+        life.state,
+        life.reason,
+        aircraft.goal.plan_id if aircraft.goal else 0,
+        tuple(aircraft.problems()),
+        aircraft.flown,
+    )
+
+
+def position_of(aircraft: Aircraft) -> Position | None:
+    """Where it is; None if that was heard too long ago."""
+    vehicle = aircraft.vehicle
+    return vehicle.position if vehicle.position_fresh(aircraft.now) else None
+
+
+def snapshot_of(aircraft: Aircraft, condition: tuple[object, ...]) -> AircraftSnapshot:
+    """Copy the present state, of which `condition` is a part."""
+    vehicle, life = aircraft.vehicle, aircraft.life
+    position = position_of(aircraft)
     return AircraftSnapshot(
         name=aircraft.config.name,
         sysid=aircraft.config.sysid,
@@ -101,8 +111,8 @@ def snapshot_of(aircraft: Aircraft) -> AircraftSnapshot:
         landed_state=vehicle.landed_state,
         system_status=vehicle.system_status,
         battery=replace(vehicle.battery),
-        position=vehicle.position if fresh else None,
-        enu_m=aircraft.enu_m if fresh else None,
+        position=position,
+        enu_m=None if position is None else aircraft.enu_m,
         geoid_separation_m=vehicle.geoid_separation_m,
         setpoint_rate_hz=aircraft.targets.rates(aircraft.now)[0],
         goal_state=life.state,
@@ -112,4 +122,5 @@ def snapshot_of(aircraft: Aircraft) -> AircraftSnapshot:
         problems=tuple(aircraft.problems()),
         reboots=vehicle.reboots,
         flown=aircraft.flown,
+        condition=condition,
     )
