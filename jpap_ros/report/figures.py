@@ -81,8 +81,9 @@ def service_map(flight: Flight, grid: Floats, services: Sequence[DeviceService])
     shares = np.array([np.where(s.present, s.rate / np.where(s.present, s.demand, 1.0), np.nan) for s in ordered])
     # Light to dark in one hue, and one clear step at the demand: told apart without seeing colours.
     levels = [0.0, 0.001, 0.5, 0.8, 0.9, 1.0 - RATE_TOLERANCE, 10.0]
-    colours = ListedColormap(["#7A1C00", "#B5460F", "#E07B39", "#F2B27E", "#FBE3CC", "#2A78B5"])
-    colours.set_bad("#F3F4F6")
+    colours = ListedColormap(["#7A1C00", "#B5460F", "#E07B39", "#F2B27E", "#FBE3CC", "#2A78B5"]).with_extremes(
+        bad="#F3F4F6"
+    )
     with _picture(min(12.0, max(2.4, 1.2 + 0.16 * len(ordered)))) as (figure, (axes,)):
         mesh = axes.imshow(
             np.ma.masked_invalid(shares),
@@ -163,7 +164,9 @@ def fleet_size(flight: Flight, grid: Floats) -> str:
     used = held(at_s, np.array([float(len(plan.message.cells)) for plan in flight.plans]), grid, np.nan)
     bounds = [float(plan.message.min_uavs_bound) for plan in flight.plans]
     proven = held(at_s, np.array([np.nan if bound < 0 else bound for bound in bounds]), grid, np.nan)
-    flying = np.sum([track.airborne(grid) for track in flight.tracks.values()], axis=0)
+    flying = np.zeros(len(grid))
+    for track in flight.tracks.values():
+        flying += track.airborne(grid)
     with _picture(2.6) as (figure, (axes,)):
         axes.fill_between(
             time.of(grid[keep]), flying[keep], step="post", color=GREY, alpha=0.25, linewidth=0, label="in the air"

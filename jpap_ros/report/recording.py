@@ -152,13 +152,20 @@ class _FileReader:
         except EndOfFile:
             if file.tell() < _MAGIC_BYTES:
                 raise RecordingError(f"{self._path}: not a recording: it is empty") from None
-            self.notes.append(f"{self._path.name} was not ended: read as far as it goes")
+            self._note_torn()
         except InvalidMagic:
             if self._messages == 0:
                 raise RecordingError(f"{self._path}: not a recording: it is no MCAP file") from None
             self.notes.append(f"{self._path.name} is damaged at its end")
         except _DAMAGE as error:
-            self.notes.append(f"{self._path.name} is damaged, read up to there: {' '.join(str(error).split())}")
+            if file.read(1):
+                why = " ".join(str(error).split())
+                self.notes.append(f"{self._path.name} is damaged in the middle, read up to there: {why}")
+            else:
+                self._note_torn()
+
+    def _note_torn(self) -> None:
+        self.notes.append(f"{self._path.name} was not ended, or is damaged: read as far as it goes")
 
     def _note(self, record: McapRecord) -> None:
         if isinstance(record, Schema):

@@ -72,11 +72,11 @@ def served_rates(flight: Flight, grid: Floats) -> list[DeviceService]:
         span = np.flatnonzero((grid >= plan.at_s) & (grid < end_s))
         for cell in plan.message.cells:
             if len(span) and cell.uav in places:
-                flying = airborne[cell.uav][span]
+                flown = span[airborne[cell.uav][span]]
                 for name, rate in zip(cell.device_ids, cell.rate, strict=True):
                     if name in services:
-                        from_here = _rates(flight, plan, cell, name, rate, grid[span], places[cell.uav][span])
-                        services[name][span] = np.where(flying, from_here, 0.0)
+                        here = places[cell.uav][flown]
+                        services[name][flown] = _rates(flight, plan, cell, name, rate, grid[flown], here)
     return [DeviceService(name, _demand(flight, name, grid), rate) for name, rate in services.items()]
 
 
@@ -91,7 +91,7 @@ def _rates(
     device = np.array([report.position for report in reports])[positions]
     here_m2 = np.sum((places[:, :2] - device) ** 2, axis=1) + places[:, 2] ** 2
     snr = np.expm1(np.log(2.0) * planned_rate / flight.bandwidth_hz) * goal_m2 / here_m2
-    rates: Floats = flight.bandwidth_hz * np.nan_to_num(np.log2(1.0 + snr), nan=0.0)
+    rates: Floats = flight.bandwidth_hz * np.log2(1.0 + snr)
     return rates
 
 
