@@ -287,4 +287,6 @@ class BridgeNode(Node):
 
 def main() -> None:
     """Run the bridge as a process."""
+    # The thread that sends targets waits for the interpreter this long, not the usual 5 ms, while messages are handled.
+    sys.setswitchinterval(5e-4)
     sys.exit(run(BridgeNode))
