@@ -119,6 +119,17 @@ class TestInsistence:
         assert len(rig.wire) == 2
 
 
+def test_what_nobody_waits_for_any_more_is_withdrawn_and_another_of_its_kind_is_not(rig: Rig) -> None:
+    first = rig.channel.start(MODE, 0.0)
+    rig.channel.withdraw(first)
+    rig.run(5.0)
+    assert len(rig.wire) == 1 and ended(first, False, "withdrawn")
+    second = rig.channel.start(MODE, 5.0)
+    rig.channel.withdraw(first)
+    rig.run(7.5, start=5.1)
+    assert second.outcome is None and len(rig.wire) == 4
+
+
 @pytest.mark.parametrize("result", [None, mavlink.MAV_RESULT_TEMPORARILY_REJECTED])
 def test_arming_is_never_repeated(rig: Rig, result: int | None) -> None:
     pending = rig.channel.start(ARM, 0.0)

@@ -223,6 +223,11 @@ class CommandChannel:
         elif done is False:
             self._transmit(exchange, now)
 
+    def withdraw(self, pending: Pending) -> None:
+        """Send a command no more, if it is still under way: nobody waits for it."""
+        if self._open.get(pending.command.id) is pending:
+            self._end(self._open[pending.command.id], Outcome(False, None, f"{pending.command.words}: withdrawn"))
+
     def cancel(self, reason: str) -> None:
         """End everything under way, e.g. because the vehicle rebooted or was lost: nothing of it is sent late."""
         for exchange in list(self._open.values()):

@@ -398,8 +398,12 @@ def _command(
     aircraft: Aircraft, command: Command, done: Callable[[float], bool | None] | None = None
 ) -> Generator[None, None, Outcome]:
     pending = aircraft.commands.start(command, aircraft.now, done)
-    while pending.outcome is None:
-        yield
+    try:
+        while pending.outcome is None:
+            yield
+    finally:
+        # Another order may have ended this one: nothing of it goes out any more.
+        aircraft.commands.withdraw(pending)
     if pending.outcome.result is None:
         _check_link(aircraft)
     return pending.outcome
