@@ -1,4 +1,4 @@
-"""What the operator's tools cost beside a large fleet: the dashboard with no, one and five pages open.
+"""What the operator's tools cost beside a large fleet: the dashboard with no, one and five pages open; the recorder.
 
 A synthetic fleet publishes what planner and bridge would: poses at a rate, states, diagnostics and goals of every
 aircraft, a plan that serves 1,000 devices, and a new plan every ten seconds. CPU is that of the whole process of the
@@ -31,6 +31,7 @@ from ament_index_python.packages import get_package_prefix
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from jpap_msgs.msg import Cell, Deployment, Device, DeviceUpdate, UnservedDevice, VehicleState
+from mcap.reader import make_reader
 from playwright.sync_api import sync_playwright
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -311,6 +312,32 @@ def measure_frames(port: int, args: argparse.Namespace) -> None:
         browser.close()
 
 
+def measure_recorder(folder: Path, fleet_file: Path, args: argparse.Namespace) -> None:
+    """Print the cost of the recorder, and what it wrote."""
+    recordings = folder / "recordings"
+    with tool("recorder", folder, {"fleet_file": str(fleet_file), "folder": str(recordings)}) as (pid, log):
+        deadline = time.monotonic() + PATIENCE_S
+        while "recording to" not in log.read_text():
+            assert time.monotonic() < deadline, log.read_text()
+            time.sleep(0.1)
+        (path,) = recordings.iterdir()
+        time.sleep(5.0)
+        usage, size = Usage(pid), path.stat().st_size
+        time.sleep(args.seconds)
+        share, memory = usage.look()
+        rate = (path.stat().st_size - size) / args.seconds
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None and summary.statistics is not None
+        statistics = summary.statistics
+    span = 1e-9 * (statistics.message_end_time - statistics.message_start_time)
+    print(f"{'recorder':24}{'CPU [%]':>10}{'memory [MB]':>14}{'messages/s':>12}{'kB/s':>8}   (on disk)")
+    print(f"{'':24}{share:>10.1f}{memory:>14.1f}{statistics.message_count / span:>12.1f}{rate / 1e3:>8.1f}")
+    print(
+        f"{statistics.channel_count} topics; {'slow disk' if 'too slow' in log.read_text() else 'no message dropped'}"
+    )
+
+
 def len_text(args: argparse.Namespace) -> str:
     return f"{args.aircraft} aircraft and {args.devices} devices"
 
@@ -321,6 +348,7 @@ def main() -> None:
     parser.add_argument("--devices", type=int, default=1000)
     parser.add_argument("--pose-hz", type=float, default=5.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each measurement")
+    parser.add_argument("--only", choices=("dashboard", "recorder"), help="measure this tool alone")
     parser.add_argument("--picture", help="keep a picture of the page here")
     parser.add_argument("--read", nargs=2, type=int, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -343,7 +371,10 @@ def main() -> None:
         executor = SingleThreadedExecutor()
         executor.add_node(fleet)
         threading.Thread(target=executor.spin, daemon=True).start()
-        measure_dashboard(folder, fleet_file, args)
+        if args.only != "recorder":
+            measure_dashboard(folder, fleet_file, args)
+        if args.only != "dashboard":
+            measure_recorder(folder, fleet_file, args)
         executor.shutdown()
         rclpy.try_shutdown()
 

@@ -34,7 +34,8 @@ def recorder_parameters() -> tuple[Param, ...]:
         Param("compression", "zstd", "Of each chunk", choices=tuple(COMPRESSIONS), fixed=True),
         Param("chunk_kb", 1024, "Uncompressed size at which a chunk ends [KiB]", 16, 65_536, fixed=True),
         Param("flush_s", 1.0, "Longest time that a message waits to be written [s]", 0.05, 60.0, fixed=True),
-        Param("max_size_mb", 512, "Size at which another file follows; 0: no limit [MiB]", 0, 1_000_000, fixed=True),
+        # With 100 aircraft an hour's index takes as much memory as the recorder itself.
+        Param("max_size_mb", 64, "Size at which another file follows; 0: no limit [MiB]", 0, 1_000_000, fixed=True),
         Param(
             "min_free_mb", 64, "Recording stops while the disk has less free than this [MiB]", 0, 1_000_000, fixed=True
         ),

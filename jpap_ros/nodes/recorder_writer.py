@@ -44,7 +44,7 @@ class WriterSettings:
     compression: str = "zstd"
     chunk_bytes: int = _MIB
     flush_s: float = 1.0
-    max_bytes: int = 512 * _MIB
+    max_bytes: int = 64 * _MIB
     min_free_bytes: int = 64 * _MIB
     max_pending_bytes: int = 64 * _MIB
     retry_s: float = 5.0
