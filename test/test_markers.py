@@ -265,7 +265,7 @@ def test_everything_of_a_scene_is_where_it_belongs(scene: Scene) -> None:
 
 
 def test_demand_is_told_by_colour(scene: Scene) -> None:
-    # viridis goes from dark violet to light yellow.
+    # viridis grows lighter from end to end.
     def luminance(colour: ColorRGBA) -> float:
         return 0.2126 * colour.r + 0.7152 * colour.g + 0.0722 * colour.b
 

@@ -23,17 +23,16 @@ ARRIVED_M = 1.0
 MAX_LABELS = 200
 
 _COLOURS = {  # Okabe and Ito's palette, which colour-blind readers tell apart
-    "blue": (0.0, 0.447, 0.698),
+    "blue": (0.337, 0.706, 0.914),
     "orange": (0.902, 0.624, 0.0),
     "vermillion": (0.835, 0.369, 0.0),
     "purple": (0.8, 0.475, 0.655),
     "grey": (0.54, 0.54, 0.54),
     "white": (1.0, 1.0, 1.0),
 }
-#: Five points of the colour map viridis, from the least to the greatest demand.
+#: Points of the colour map viridis, from the least to the greatest demand, without its dark end: viewers are dark.
 _VIRIDIS = np.array(
     [
-        (0.267, 0.005, 0.329),
         (0.230, 0.322, 0.546),
         (0.128, 0.567, 0.551),
         (0.369, 0.789, 0.383),
