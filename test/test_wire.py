@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 import socket
 import struct
+from dataclasses import replace
 
 import pytest
 from mavlink_frames import (
+    COMMAND_INT,
+    COMMAND_INT_EXTRA,
     COMMAND_LONG,
     COMMAND_LONG_EXTRA,
     HEARTBEAT,
@@ -21,9 +24,12 @@ from mavlink_frames import (
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from jpap_ros.fleet.config import LinkUrl
+from jpap_ros.mavlink.autopilots import REGISTRY, AltitudeDatum, Target
 from jpap_ros.mavlink.budget import frame_size
+from jpap_ros.mavlink.commands import Command
 from jpap_ros.mavlink.geodesy import degrees_to_e7
 from jpap_ros.mavlink.links import LinkHub
+from jpap_ros.mavlink.vehicle import Home, Vehicle
 
 POSITION_AND_YAW = 0b1001_1111_1000
 
@@ -74,6 +80,82 @@ def test_set_position_target_global_int() -> None:
             SET_POSITION_TARGET_GLOBAL_INT, SET_POSITION_TARGET_GLOBAL_INT_EXTRA, payload, 245, 191, sequence
         )
     assert len(frames[0]) == frame_size(SET_POSITION_TARGET_GLOBAL_INT)
+
+
+#: Home at 33 m above mean sea level; a goal 50 m above home, which the map's origin at 20 m puts at 70 m.
+VEHICLE = Vehicle(7)
+VEHICLE.home = Home(-37.8136, 144.9631, 33.0)
+TARGET = Target(-37.81361234, 144.96309876, height_m=50.0, amsl_m=70.0)
+MOVING = replace(TARGET, velocity_ned_m_s=(3.0, -4.0, 0.5))
+TURNED = replace(TARGET, yaw_ned=1.25)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "datum", "target", "mask", "frame", "altitude"),
+    [
+        ("ardupilot", AltitudeDatum.RELATIVE, TARGET, 0x0DF8, 6, 50.0),
+        ("ardupilot", AltitudeDatum.AMSL, TARGET, 0x0DF8, 5, 70.0),
+        ("px4", AltitudeDatum.RELATIVE, TARGET, 0x0DF8, 5, 83.0),
+        ("px4", AltitudeDatum.AMSL, TARGET, 0x0DF8, 5, 70.0),
+        # Velocity counts too: 0x0DF8 without VX 8, VY 16, VZ 32.
+        ("ardupilot", AltitudeDatum.RELATIVE, MOVING, 0x0DC0, 6, 50.0),
+        ("px4", AltitudeDatum.RELATIVE, MOVING, 0x0DC0, 5, 83.0),
+        # Yaw counts too: 0x0DF8 without YAW 1024.
+        ("ardupilot", AltitudeDatum.RELATIVE, TURNED, 0x09F8, 6, 50.0),
+        ("px4", AltitudeDatum.RELATIVE, TURNED, 0x09F8, 5, 83.0),
+    ],
+)
+def test_every_setpoint(
+    autopilot: str, datum: AltitudeDatum, target: Target, mask: int, frame: int, altitude: float
+) -> None:
+    message = REGISTRY[autopilot].position_target(target, VEHICLE, datum, 123456)
+    north, east, down = target.velocity_ned_m_s or (0.0, 0.0, 0.0)
+    yaw = target.yaw_ned or 0.0
+    # As above; the last three bytes are target system, target component and frame.
+    payload = struct.pack(
+        "<Iii9fHBBB",
+        *(123456, -378136123, 1449630988, altitude),
+        *(north, east, down, 0, 0, 0, yaw, 0),
+        *(mask, 7, 1, frame),
+    )
+    assert sent(message) == [
+        frame_v2(SET_POSITION_TARGET_GLOBAL_INT, SET_POSITION_TARGET_GLOBAL_INT_EXTRA, payload, 245, 191)
+    ]
+
+
+@pytest.mark.parametrize(("autopilot", "frame", "altitude"), [("ardupilot", 6, 50.0), ("px4", 5, 83.0)])
+def test_every_reposition(autopilot: str, frame: int, altitude: float) -> None:
+    command = REGISTRY[autopilot].reposition(TARGET, VEHICLE, AltitudeDatum.RELATIVE)
+    # COMMAND_INT: params 1 to 4 (default speed -1, change of mode 1, no radius, yaw as it is), x, y, z, command 192
+    # (2 bytes), target system, target component, frame, current, autocontinue (1 byte).
+    payload = struct.pack(
+        "<4fiifHBBBBB", -1.0, 1.0, 0.0, math.nan, -378136123, 1449630988, altitude, 192, 7, 1, frame, 0, 0
+    )
+    assert len(payload) == 35
+    assert sent(command.message(7, 1, as_int=True, confirmation=0)) == [
+        frame_v2(COMMAND_INT, COMMAND_INT_EXTRA, payload, 245, 191)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("command", "params"),
+    [
+        (REGISTRY["ardupilot"].set_mode("GUIDED"), (1, 4, 0, 0, 0, 0, 0)),
+        (REGISTRY["px4"].set_mode("OFFBOARD"), (1, 6, 0, 0, 0, 0, 0)),
+        (REGISTRY["px4"].set_mode("AUTO.LOITER"), (1, 4, 3, 0, 0, 0, 0)),
+        (REGISTRY["px4"].arm(), (1, 0, 0, 0, 0, 0, 0)),
+        (REGISTRY["ardupilot"].takeoff(VEHICLE, 10.0), (0, 0, 0, 0, 0, 0, 10.0)),
+        (REGISTRY["px4"].takeoff(VEHICLE, 10.0), (0, 0, 0, math.nan, math.nan, math.nan, 43.0)),
+        (REGISTRY["ardupilot"].return_home(), (0, 0, 0, 0, 0, 0, 0)),
+        (REGISTRY["px4"].land(), (0, 0, 0, math.nan, math.nan, math.nan, 0)),
+    ],
+)
+def test_every_order(command: Command, params: tuple[float, ...]) -> None:
+    # COMMAND_LONG: params 1 to 7, command (2 bytes), target system, target component, confirmation (1 byte).
+    payload = struct.pack("<7fHBBB", *params, command.id, 7, 1, 2)
+    assert sent(command.message(7, 1, as_int=False, confirmation=2)) == [
+        frame_v2(COMMAND_LONG, COMMAND_LONG_EXTRA, payload, 245, 191)
+    ]
 
 
 def test_heartbeat_of_the_bridge() -> None:
