@@ -271,7 +271,8 @@ def test_demand_is_told_by_colour(scene: Scene) -> None:
 
     brightness = [luminance(colour) for colour in drawn(scene)["devices_served"][0].colors]
     assert brightness == sorted(brightness)
-    assert brightness[-1] > brightness[0] + 0.2
+    # The least and the middle demand of six.
+    assert brightness[-1] > brightness[0] + 0.1
     scene.devices = [replace(device, rate_demand=16.0) for device in scene.devices]
     assert len({(c.r, c.g, c.b) for c in drawn(scene)["devices_served"][0].colors}) == 1, "all alike, and no division"
 
