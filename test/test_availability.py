@@ -261,3 +261,17 @@ def test_the_same_history_gives_the_same_decisions():
 def test_bad_policy_is_named(fields, message):
     with pytest.raises(ValueError, match=message):
         FleetPolicy(**fields)
+
+
+def test_aircraft_without_a_duty_are_told_of_too_when_they_go_and_come_back():
+    life = FleetLife(POLICY, crew={1: "a"})
+    fleet = [flying("a"), ground("b"), ground("c"), Vehicle("never")]
+    assert life.step(0.0, fleet, {1: Station(HERE)}).events == ()
+    fleet[1], fleet[2] = replace(fleet[1], link=Link.LOST), replace(fleet[2], yielded=True)
+    assert life.step(1.0, fleet, {1: Station(HERE)}).events == ()
+    assert life.step(1.0 + POLICY.lost_after_s, fleet, {1: Station(HERE)}).events == ("b is lost", "c was taken over")
+    assert life.step(9.0, fleet, {1: Station(HERE)}).events == ()
+    assert life.step(10.0, [flying("a"), ground("b"), ground("c")], {1: Station(HERE)}).events == (
+        "b is back",
+        "c is back",
+    )

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jpap_ros.fleet.events import Events
+from jpap_ros.fleet.availability import Charge, Link, Vehicle
+from jpap_ros.fleet.events import AircraftWatch, Events
 from jpap_ros.planning.devices import Changes, Device, DeviceTable, Fault
 
 
@@ -182,6 +183,37 @@ def test_events_merge_in_the_order_of_time():
     later.add("uav1 is lost")
     later.merge(earlier)
     assert str(later) == "1 device fell silent, operator asked, uav1 is lost"
+
+
+def test_aircraft_that_join_are_named_or_counted():
+    few, many = Events(), Events()
+    for name in ("uav1", "uav2", "uav1"):
+        few.add_aircraft(name)
+    for k in range(30):
+        many.add_aircraft(f"uav{k}")
+    many.add("operator asked")
+    assert str(few) == "uav1 joined, uav2 joined"
+    assert str(many) == "30 UAVs joined, operator asked"
+
+
+def test_what_happens_to_aircraft_is_told_once():
+    watch = AircraftWatch(low_battery=0.3)
+
+    def told(**report):
+        events = Events()
+        assert watch.take(Vehicle("u", **report), events) == bool(events)
+        return str(events)
+
+    assert told() == ""
+    assert told(link=Link.CONNECTED) == "u joined"
+    assert told(link=Link.CONNECTED, in_air=True, battery=0.8) == ""
+    assert told(link=Link.CONNECTED, in_air=True, battery=0.3) == "u is low on battery"
+    # A battery recovers a little; and what comes over a lost link is old.
+    assert told(link=Link.CONNECTED, in_air=True, battery=0.31) == ""
+    assert told(link=Link.LOST, in_air=True, battery=0.2) == ""
+    assert told(link=Link.CONNECTED, in_air=True, battery=0.2) == ""
+    assert told(link=Link.CONNECTED, battery=0.2) == "u has landed"
+    assert told(link=Link.CONNECTED, in_air=True, charge=Charge.LOW) == "u is low on battery"
 
 
 def test_a_report_that_changes_nothing_is_no_event():

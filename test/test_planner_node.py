@@ -5,8 +5,10 @@ written out, for powers and rates; the ROS contract, for everything else.
 """
 
 import math
+import re
 import signal
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -96,8 +98,12 @@ class Planner:
         self.graph.wait(lambda: all(word in self.process.output for word in words), f"the words {words} in the log")
 
     def set(self, name, value):
-        kind = {str: ParameterType.PARAMETER_STRING, float: ParameterType.PARAMETER_DOUBLE}[type(value)]
-        content = ParameterValue(type=kind, **{{str: "string_value", float: "double_value"}[type(value)]: value})
+        kind, field = {
+            str: (ParameterType.PARAMETER_STRING, "string_value"),
+            float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
+            int: (ParameterType.PARAMETER_INTEGER, "integer_value"),
+        }[type(value)]
+        content = ParameterValue(type=kind, **{field: value})
         request = SetParameters.Request(parameters=[Parameter(name=name, value=content)])
         return self.graph.call(SetParameters, "planner/set_parameters", request).results[0]
 
@@ -457,6 +463,105 @@ def test_aircraft_in_trouble_give_their_cell_to_another_and_may_come_back(planne
     state.publish(VehicleState(**healthy))
     third = node.plan(f"{victim} is available")
     assert victim in [cell.uav for cell in third.cells] and not third.unserved
+
+
+def test_what_happens_to_aircraft_is_in_the_reason_of_a_plan(planner, graph):
+    node = planner(uavs=3, low_battery=0.3)
+    # What was heard before there was anything to serve is told with the first plan, and makes none by itself.
+    said = {name: graph.publisher(VehicleState, f"{name}/state", LATCHED) for name in UAVS[:3]}
+
+    def says(name, landed_state=VehicleState.LANDED_IN_AIR, battery=0.9):
+        said[name].publish(
+            VehicleState(
+                uav=name, link=VehicleState.LINK_CONNECTED, landed_state=landed_state, battery_remaining=battery
+            )
+        )
+
+    says("uav1")
+    node.said("uav1 is heard")
+    assert not node.deployments
+    node.send({"a1": GROUPS["a1"]})
+    assert "uav1 joined" in node.plan("1 device joined").reason
+    says("uav2")
+    node.plan("uav2 joined")
+    says("uav2", battery=0.29)
+    node.plan("uav2 is low on battery")
+    says("uav2", VehicleState.LANDED_ON_GROUND, battery=0.28)
+    plan = node.plan("uav2 has landed")
+    assert "uav1" not in plan.reason and [list(cell.device_ids) for cell in plan.cells] == [["a1"]]
+
+
+def test_of_a_storm_of_events_none_is_lost_and_none_told_twice(planner, graph):
+    """Oracle: what was sent, counted; read from all reasons together."""
+    node = planner(uavs=24)
+    said = graph.publisher(VehicleState, "uav1/state", LATCHED)
+    rng = np.random.default_rng(8)
+    known = {f"d{k}": (*rng.uniform(-300, 300, 2), 14.0) for k in range(20)}
+    node.send(known)
+    node.plan("20 devices joined")
+    sent = Counter()
+    for k in range(60):
+        kind = ("joined", "moved", "changed demand", "left")[int(rng.integers(4))]
+        sent[kind] += 1
+        name = f"n{k}" if kind == "joined" else sorted(known)[int(rng.integers(len(known)))]
+        x, y, rate = known.get(name, (*rng.uniform(-300, 300, 2), 14.0))
+        if kind == "left":
+            del known[name]
+            node.send(departed=[name])
+        else:
+            known[name] = (x + 1.0 * (kind == "moved"), y, rate + 0.01 * (kind == "changed demand"))
+            node.send({name: known[name]})
+        if k == 20:
+            said.publish(VehicleState(uav="uav1", link=VehicleState.LINK_LOST))
+        if k == 30:
+            assert node.set("tolerance", 0.4).successful and node.set("max_devices_per_uav", 9).successful
+        if k == 40:
+            assert graph.call(Trigger, "planner/replan").success
+        # Now in the middle of planning, now in the quiet time, now after it.
+        graph.spin(float(rng.choice([0.0, 0.0, 0.02, 0.1])))
+
+    def told():
+        counts = Counter()
+        for plan in node.deployments[1:]:
+            for number, what in re.findall(r"(\d+)(?: devices?)? (joined|moved|changed demand|left)", plan.reason):
+                counts[what] += int(number)
+        return counts
+
+    graph.wait(lambda: sum(told().values()) >= 60, "all events in reasons")
+    graph.spin(0.5)
+    assert told() == sent
+    reasons = ", ".join(plan.reason for plan in node.deployments)
+    for once in ("uav1 is lost", "parameter max_devices_per_uav is now 9", "operator asked"):
+        assert reasons.count(once) == 1
+    assert len(node.deployments) < 62, "some were answered together"
+    assert {d for cell in node.last.cells for d in cell.device_ids} | {u.id for u in node.last.unserved} == set(known)
+    assert_demands_met(node.last, known)
+
+
+@pytest.mark.parametrize(("apart", "interrupted"), [(250.0, ["b"]), (150.0, [])])
+def test_a_device_is_interrupted_only_if_it_must_be_and_then_it_is_reported(planner, graph, apart, interrupted):
+    """By hand, from equations (3) and (10): with half the power each, a device of 17 bit/s/Hz is served up to
+    sqrt(5e9 / (2^17 - 1) - 50^2) = 188.8 m. When the first UAV is lost, the one over c takes b: at 150 m from where it
+    is, at 250 m only after it has flown 61.2 m. a is 400 m or more from c, twice the reach is 377.6 m.
+    """
+    devices = {"a": (-250.0, 0.0, 17.0), "b": (0.0, 0.0, 17.0), "c": (apart, 0.0, 17.0)}
+    node = planner(uavs=2)
+    node.send({name: devices[name] for name in "ab"})
+    (first,) = node.plan("2 devices joined").cells
+    node.send({"c": devices["c"]})
+    assert {frozenset(cell.device_ids) for cell in node.plan("1 device joined").cells} == {
+        frozenset("ab"),
+        frozenset("c"),
+    }
+    lost = graph.publisher(VehicleState, f"{first.uav}/state", LATCHED)
+    lost.publish(VehicleState(uav=first.uav, link=VehicleState.LINK_LOST))
+    plan = node.plan(f"{first.uav} is lost")
+    (cell,) = plan.cells
+    assert sorted(cell.device_ids) == ["b", "c"] and [entry.id for entry in plan.unserved] == ["a"]
+    assert cell.goal_pose.position.x == pytest.approx(apart - max(apart - 188.79, 0.0), abs=0.1)
+    assert_demands_met(plan, devices)
+    assert list(plan.interrupted) == interrupted
+    assert ("interrupted on the way: device 'b'" in node.process.output) == bool(interrupted)
 
 
 def test_parameters_change_the_plan_at_run_time_and_bad_ones_are_refused(planner):

@@ -212,6 +212,7 @@ class FleetLife:
         self._crew: dict[int, str] = dict(crew or {})
         self._reliefs: dict[int, str] = {}
         self._away_since: dict[str, float] = {}
+        self._given_up: set[str] = set()
         self._idle_since: dict[str, float] = {}
         self._ordered: dict[str, tuple[Order, float]] = {}
         self._grounded_since: dict[str, float] = {}
@@ -272,15 +273,34 @@ class FleetLife:
                 self._away_since.pop(name, None)
             else:
                 self._away_since.setdefault(name, now_s)
+            self._note_absence(now_s, vehicle)
             if vehicle.link is not Link.CONNECTED:
                 continue
             # A battery recovers a little when the load falls; tired is tired until it stands on the ground.
             if self._is_low(vehicle):
-                if vehicle.in_air and name not in self._tired:
-                    self._events.append(f"{name} is low on battery")
                 self._tired.add(name)
             elif not vehicle.in_air:
                 self._tired.discard(name)
+
+    def _note_absence(self, now_s: float, vehicle: Vehicle) -> None:
+        """Tell when an aircraft without a duty is given up, and when any comes back."""
+        name = vehicle.name
+        if _obeys(vehicle):
+            if name in self._given_up:
+                self._given_up.remove(name)
+                self._events.append(f"{name} is back")
+            return
+        reason = self._absent(now_s, vehicle)
+        if reason and name not in self._given_up and vehicle.link is not Link.NEVER_SEEN:
+            self._given_up.add(name)
+            if name not in (*self._crew.values(), *self._reliefs.values()):
+                self._events.append(f"{name} {reason}")
+
+    def _absent(self, now_s: float, vehicle: Vehicle) -> str:
+        """In which way an aircraft has not obeyed for too long; empty if it has."""
+        if _obeys(vehicle) or now_s - self._away_since.get(vehicle.name, now_s) < self.policy.lost_after_s:
+            return ""
+        return "was taken over" if vehicle.link is Link.CONNECTED else "is lost"
 
     def _dismiss(self, now_s: float, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> None:
         """Take those off their cells that cannot or need not serve them any more."""
@@ -306,8 +326,8 @@ class FleetLife:
         """Why an aircraft cannot stay on duty; empty where it can."""
         if vehicle is None:
             return "is not in the fleet"
-        if now_s - self._away_since.get(name, now_s) >= self.policy.lost_after_s:
-            return "was taken over" if vehicle.link is Link.CONNECTED else "is lost"
+        if reason := self._absent(now_s, vehicle):
+            return reason
         if not _obeys(vehicle):
             return ""
         if self._is_critical(vehicle):

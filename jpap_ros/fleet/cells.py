@@ -88,7 +88,7 @@ class FleetPlan:
     average_uav_rate_bound : float
         Proven upper bound on `average_uav_rate` with this number of UAVs [bit/s]; NaN where none is known.
     interrupted : mapping of str to str
-        Devices whose guaranteed rate is interrupted by the change to this plan, and why.
+        Devices that are served on, but whose guaranteed rate the change to this plan interrupts, and why.
     from_scratch : bool
         Whether the scheme made it from the devices alone; else it is a change of an earlier plan.
     """

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 
+from jpap_ros.fleet.availability import Charge, Link, Vehicle
 from jpap_ros.planning.devices import Changes
 
 _DEVICE_EVENTS = ("joined", "moved", "changed demand", "left", "fell silent")
+#: More aircraft that join are counted, not named.
+_NAMED = 3
 
 
 class Events:
@@ -14,10 +17,11 @@ class Events:
 
     def __init__(self) -> None:
         self._devices: Counter[str] = Counter()
+        self._joined: dict[str, None] = {}
         self._others: dict[str, None] = {}
 
     def __bool__(self) -> bool:
-        return bool(self._devices or self._others)
+        return bool(self._devices or self._joined or self._others)
 
     def add_changes(self, changes: Changes) -> None:
         """Add what a device report changed."""
@@ -33,6 +37,10 @@ class Events:
         """Add devices that timed out."""
         self._devices["fell silent"] += count
 
+    def add_aircraft(self, name: str) -> None:
+        """Add an aircraft that is heard for the first time."""
+        self._joined[name] = None
+
     def add(self, event: str) -> None:
         """Add any other event, in words; the same one twice counts once."""
         self._others[event] = None
@@ -40,6 +48,7 @@ class Events:
     def merge(self, earlier: Events) -> None:
         """Take in events that happened before these."""
         self._devices.update(earlier._devices)
+        self._joined = {**earlier._joined, **self._joined}
         self._others = {**earlier._others, **self._others}
 
     def __str__(self) -> str:
@@ -48,4 +57,43 @@ class Events:
             if count := self._devices[event]:
                 noun = "" if parts else " device" if count == 1 else " devices"
                 parts.append(f"{count}{noun} {event}")
-        return ", ".join([*parts, *self._others])
+        many = len(self._joined) > _NAMED
+        joined = [f"{len(self._joined)} UAVs joined"] if many else [f"{name} joined" for name in self._joined]
+        return ", ".join([*parts, *joined, *self._others])
+
+
+class AircraftWatch:
+    """Tells what happened to aircraft between two reports, which is more than whether they can be given a cell.
+
+    Parameters
+    ----------
+    low_battery : float
+        Share at or below which a battery is low.
+    """
+
+    def __init__(self, low_battery: float) -> None:
+        self._low_battery = low_battery
+        self._heard: set[str] = set()
+        self._in_air: set[str] = set()
+        self._tired: set[str] = set()
+
+    def take(self, vehicle: Vehicle, events: Events) -> bool:
+        """Take in a report; True if it told an event, which is added."""
+        name = vehicle.name
+        if vehicle.link is not Link.CONNECTED:
+            return False
+        joined = name not in self._heard
+        low = vehicle.battery <= self._low_battery or vehicle.charge in (Charge.LOW, Charge.CRITICAL)
+        tired = vehicle.in_air and low and name not in self._tired
+        landed = not vehicle.in_air and name in self._in_air
+        if joined:
+            events.add_aircraft(name)
+        if tired:
+            events.add(f"{name} is low on battery")
+        if landed:
+            events.add(f"{name} has landed")
+        self._heard.add(name)
+        # A battery recovers a little when the load falls; tired is tired until it stands on the ground.
+        self._tired = self._tired | {name} if tired else self._tired if vehicle.in_air else self._tired - {name}
+        self._in_air = self._in_air | {name} if vehicle.in_air else self._in_air - {name}
+        return joined or tired or landed

@@ -279,6 +279,7 @@ def named_plan(
         proven_optimal=full is not None and full.proven_optimal,
         average_uav_rate_bound=_rate_bound(full, settings),
         scheme=settings.scheme,
-        interrupted=interrupted or {},
+        # One that is left out altogether is among the unserved.
+        interrupted={name: why for name, why in (interrupted or {}).items() if name not in live.unserved},
         from_scratch=full is not None,
     )

@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 from jpap_ros.fleet.availability import Roster
 from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.config import load_fleet
-from jpap_ros.fleet.events import Events
+from jpap_ros.fleet.events import AircraftWatch, Events
 from jpap_ros.fleet.plan import SLOW_SCHEMES, PlanSettings, Weighed, with_crew
 from jpap_ros.fleet.plan_store import PlanStoreError, StoredPlan, load_plan, save_plan
 from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
@@ -37,7 +37,7 @@ from jpap_ros.nodes.parameters import declare, values
 from jpap_ros.nodes.planner_diagnostics import PlannerHealth
 from jpap_ros.nodes.planner_intake import DeviceIntake
 from jpap_ros.nodes.planner_jobs import EventJob, WeighJob
-from jpap_ros.nodes.planner_keeper import FleetKeeper, fleet_policy
+from jpap_ros.nodes.planner_keeper import FleetKeeper, fleet_policy, vehicle_of
 from jpap_ros.nodes.planner_outputs import PlannerOutputs
 from jpap_ros.nodes.planner_parameters import (
     PLAN_PARAMETERS,
@@ -82,6 +82,9 @@ class PlannerNode(ManagedNode):
         self._params = planner_parameters()
         declare(self, self._params, self._on_parameters)
         self._events = Events()
+        #: What happened to aircraft before there was anything to serve: the first plan tells it.
+        self._early = Events()
+        self._watch = AircraftWatch(1.0)
         self._waiting: list[Future] = []
         self._first_event_s: float | None = None
         self._states: dict[str, VehicleState] = {}
@@ -111,6 +114,7 @@ class PlannerNode(ManagedNode):
         self._outputs = PlannerOutputs(self, self._fleet.names)
         self._made.callback(self._outputs.close)
         self._restore()
+        self._watch = AircraftWatch(self._settings["low_battery"])
         self._roster = None
         if self._settings["manage_fleet"]:
             crew = self._health.plan.names if self._health.plan is not None else {}
@@ -202,7 +206,7 @@ class PlannerNode(ManagedNode):
     def cleanup(self) -> None:
         """Stop listening and forget everything."""
         self._made.close()
-        self._events = Events()
+        self._events, self._early = Events(), Events()
         self._states.clear()
         self._health = PlannerHealth(plan_id=self._health.plan_id)
         self._weighed = self._planned_with = self._restored = None
@@ -233,15 +237,24 @@ class PlannerNode(ManagedNode):
         self._health.plan_id = max(self._health.plan_id, state.goal_plan_id)
         if before.connected != after.connected:
             self.get_logger().info(f"{name} is {'heard' if after.connected else 'no longer heard'}")
-        if before.available == after.available or self._keeper is not None:
+        news = Events()
+        happened = self._watch.take(vehicle_of(name, state, sent_home=False), news)
+        if before.available != after.available and self._keeper is None:
+            self.get_logger().info(f"{name} {after.unavailable or 'is available'}")
+            news.add(f"{name} {after.unavailable or 'is available'}")
+            happened = True
+        if happened:
+            self._answer_fleet(news)
+
+    def _answer_fleet(self, news: Events) -> None:
+        """Plan anew for what happened to aircraft; without a plan there is nothing to change."""
+        if self._health.plan is None and self._in_work is None and not self._events:
+            news.merge(self._early)
+            self._early = news
             return
-        self.get_logger().info(f"{name} {after.unavailable or 'is available'}")
-        plan = self._health.plan
-        has_cell = plan is not None and any(cell.uav == name for cell in plan.cells)
-        wanted = plan is not None and plan.uavs_needed > len(plan.cells)
-        if self._in_work is not None or (wanted if after.available else has_cell):
-            self._events.add(f"{name} {after.unavailable or 'is available'}")
-            self._touch()
+        news.merge(self._events)
+        self._events = news
+        self._touch()
 
     def _on_life(self) -> None:
         """Look after the fleet; plan anew where its life changes what can be served."""
@@ -252,10 +265,11 @@ class PlannerNode(ManagedNode):
         changed = roster.usable != self._planned_for
         if plan is not None and changed and (plan.uavs_needed > len(plan.cells) or roster.usable < len(plan.cells)):
             news.append(f"{roster.usable} aircraft are usable")
-        for event in news:
-            self._events.add(event)
         if news:
-            self._touch()
+            told = Events()
+            for event in news:
+                told.add(event)
+            self._answer_fleet(told)
 
     def _keep_fleet(self, plan: FleetPlan | None) -> Roster:
         assert self._keeper is not None
@@ -304,6 +318,8 @@ class PlannerNode(ManagedNode):
 
     def _touch(self, at_once: bool = False) -> None:
         """Plan once events have stopped coming, or when the first of them has waited for long enough."""
+        self._events.merge(self._early)
+        self._early = Events()
         if self._first_event_s is None:
             self._first_event_s = time.monotonic()
         if self.active:
