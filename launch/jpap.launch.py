@@ -32,6 +32,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "markers", default_value="true", description="Draw for RViz, Foxglove and others: true or false"
             ),
+            DeclareLaunchArgument("record", default_value="false", description="Record the flight: true or false"),
             DeclareLaunchArgument("namespace", default_value="", description="ROS namespace of all nodes"),
             DeclareLaunchArgument(
                 "params_file",
@@ -49,6 +50,7 @@ def generate_launch_description() -> LaunchDescription:
             _include("sim", SHARED, condition=IfCondition(LaunchConfiguration("sim"))),
             _include("markers", SHARED, condition=IfCondition(LaunchConfiguration("markers"))),
             _include("dashboard", SHARED, condition=IfCondition(LaunchConfiguration("dashboard"))),
+            _include("recorder", SHARED, condition=IfCondition(LaunchConfiguration("record"))),
         ]
     )
 

@@ -14,6 +14,8 @@ from jpap_ros.nodes.dashboard_parameters import dashboard_parameters
 from jpap_ros.nodes.markers import markers_parameters
 from jpap_ros.nodes.parameters import Param
 from jpap_ros.nodes.planner_parameters import planner_parameters
+from jpap_ros.nodes.recorder_parameters import recorder_parameters
+from jpap_ros.nodes.replay import replay_parameters
 from jpap_ros.nodes.sim import sim_parameters
 
 BEGIN = "<!-- parameters: written by scripts/docs, do not edit -->"
@@ -28,6 +30,8 @@ def tables() -> str:
         "sim": sim_parameters(),
         "markers": markers_parameters(),
         "dashboard": dashboard_parameters(),
+        "recorder": recorder_parameters(),
+        "replay": replay_parameters(),
     }
     return "\n".join(f"### `{node}`\n\n{_table(params)}" for node, params in nodes.items())
 
