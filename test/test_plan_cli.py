@@ -187,7 +187,7 @@ def test_comparison_has_every_scheme_as_solve_says(tmp_path: Path) -> None:
         assert float(row["average_uav_rate"]) == pytest.approx(expected.average_uav_rate)
         assert row["scheme"] in result.stdout
     best = min(int(row["uavs"]) for row in rows)
-    assert f"fewer than {best} UAVs" in result.stdout
+    assert f"at least {best} UAVs" in result.stdout
     assert imread(picture).std() > 0.05
 
 
@@ -235,6 +235,14 @@ def test_limits_and_radio_reach_the_solver(tmp_path: Path, capsys: pytest.Captur
     assert expected.violations(POSITIONS, RATES, link, 2, None, 80.0) == []
     assert [float(row["power_w"]) for row in rows_of(out)] == expected.power_w.tolist()
     assert "of 20" in capsys.readouterr().out, "43 dBm are 20 W"
+
+
+def test_absurd_demands_are_told_and_nothing_else(tmp_path: Path) -> None:
+    # 2^5000 - 1 is beyond every number that a computer has.
+    (tmp_path / "d.csv").write_text("id,x,y,rate_demand\nhuge,1,2,5000\nfine,3,4,16\n")
+    result = run(tmp_path / "d.csv", "--scheme", "jpap")
+    assert (result.returncode, result.stderr) == (1, "")
+    assert "demands 5000 bit/s/Hz; the most that one UAV can give" in result.stdout
 
 
 def test_goals_outside_the_fence_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -353,8 +361,7 @@ def test_bad_features(tmp_path: Path, feature: dict[str, object], message: str) 
         (["{good}", "--output", "plan.pdf"], "--output: a plan is written as .png, .svg, .csv, .geojson, .kml, .plan"),
         (["{good}", "--compare", "--output", "plan.kml"], "--output: a comparison is written as .png, .svg, .csv"),
         (["{good}", "--output", "plan.kml"], "need a place on the earth: give --origin or --fleet"),
-        (["{good}", "--altitude", "0"], "altitude_m must be > 0, got 0.0"),
-        (["{good}", "--power", "nan"], "transmit_power_dbm must be a finite number, got nan"),
+        (["{good}", "--fleet", "{fleet}", "--max-uavs", "13"], "--max-uavs 13: {fleet} has 12"),
         (["{good}", "--fleet", "none.yaml"], "none.yaml: cannot be read"),
     ],
 )
@@ -363,9 +370,10 @@ def test_bad_options(
 ) -> None:
     good = tmp_path / "good.csv"
     good.write_text(GOOD)
-    assert main([argument.format(good=good) for argument in arguments]) == 2
+    names = {"good": good, "fleet": ROOT / "config" / "fleet_example.yaml"}
+    assert main([argument.format(**names) for argument in arguments]) == 2
     captured = capsys.readouterr()
-    assert message in captured.err
+    assert message.format(**names) in captured.err
     assert captured.err.startswith("plan: ")
     assert len(captured.err.splitlines()) == 1
     assert captured.out == ""
@@ -381,6 +389,10 @@ def test_bad_options(
         ["--max-devices-per-uav", "1.5"],
         ["--min-separation", "-1"],
         ["--time-limit", "inf"],
+        ["--power", "nan"],
+        ["--noise", "1"],
+        ["--gain", "1e400"],
+        ["--altitude", "0"],
         ["--scheme", "best"],
     ],
 )

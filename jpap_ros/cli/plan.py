@@ -97,26 +97,21 @@ def _task(options: argparse.Namespace, errors: Console) -> _Task:
         if path.suffix.lower() not in suffixes:
             what = "a comparison" if options.compare else "a plan"
             raise _OptionError(f"--output: {what} is written as {', '.join(suffixes)}, got {str(path)!r}")
-    link = _link(options)
+    link = LinkBudget(options.power, options.noise, options.gain, options.altitude)
     found = read_devices(options.devices)
     if found.ignored:
         errors.print(f"plan: columns not used: {', '.join(found.ignored)}", style="yellow", markup=False)
     fleet = load_fleet(options.fleet) if options.fleet else None
+    if fleet is not None and options.max_uavs is not None and options.max_uavs > len(fleet.uavs):
+        raise _OptionError(f"--max-uavs {options.max_uavs}: {options.fleet} has {len(fleet.uavs)}")
     origin = options.origin or (fleet.origin if fleet else None) or (found.centroid() if found.geodetic else None)
     if origin is None and (path := next((p for p in options.output if p.suffix.lower() in GEODETIC_SUFFIXES), None)):
         raise _OptionError(f"--output {path}: devices in metres need a place on the earth: give --origin or --fleet")
     try:
         frame = LocalFrame(origin) if origin else None
     except ValueError as error:
-        raise _OptionError(f"--origin: {error}") from None
+        raise _OptionError(f"origin: {error}") from None
     return _Task(found.devices(frame), link, fleet, frame)
-
-
-def _link(options: argparse.Namespace) -> LinkBudget:
-    try:
-        return LinkBudget(options.power, options.noise, options.gain, options.altitude)
-    except ValueError as error:
-        raise _OptionError(str(error)) from None
 
 
 def _solve_all(task: _Task, schemes: Sequence[str], options: argparse.Namespace, errors: Console) -> list[Deployment]:
@@ -184,7 +179,8 @@ def _show_comparison(
     out.print(comparison_table(deployments))
     bounds = [each.min_uavs_bound for each in deployments if each.min_uavs_bound is not None]
     if bounds:
-        out.print(f"proven: no deployment serves every device with fewer than {max(bounds)} UAVs")
+        least = max(bounds)
+        out.print(f"proven: it takes at least {least} UAV{'s' * (least != 1)} to serve every device")
     written = _write(options.output, partial(write_comparison, devices=task.devices, deployments=deployments), errors)
     return written or (SOME_UNSERVED if any(each.unserved for each in deployments) else ALL_SERVED)
 
@@ -234,19 +230,19 @@ def _parser() -> argparse.ArgumentParser:
         "--max-uavs", type=_whole, metavar="N", help="UAVs there are (default: the fleet's, or no limit)"
     )
     limits.add_argument("--max-devices-per-uav", type=_whole, metavar="K", help="devices a UAV (default: no limit)")
-    limits.add_argument("--min-separation", type=_length, default=0.0, metavar="M",
+    limits.add_argument("--min-separation", type=_between(0, 10_000), default=0.0, metavar="M",
                         help="least horizontal distance between two UAVs [m] (default: 0)")  # fmt: skip
     limits.add_argument("--time-limit", type=_time, default=10.0, metavar="S",
                         help="of each scheme [s]; 0: none (default: 10)")  # fmt: skip
     limits.add_argument("--seed", type=int, default=0, help="of the schemes that draw at random (default: 0)")
     radio = parser.add_argument_group("radio link")
-    radio.add_argument("--power", type=float, default=link.transmit_power_dbm, metavar="DBM",
+    radio.add_argument("--power", type=_between(-50, 100), default=link.transmit_power_dbm, metavar="DBM",
                        help="total transmit power of a UAV [dBm] (default: %(default)g)")  # fmt: skip
-    radio.add_argument("--noise", type=float, default=link.noise_power_dbm, metavar="DBM",
+    radio.add_argument("--noise", type=_between(-200, 0), default=link.noise_power_dbm, metavar="DBM",
                        help="noise power at a device [dBm] (default: %(default)g)")  # fmt: skip
-    radio.add_argument("--gain", type=float, default=link.reference_gain_db, metavar="DB",
+    radio.add_argument("--gain", type=_between(-150, 0), default=link.reference_gain_db, metavar="DB",
                        help="channel gain at 1 m [dB] (default: %(default)g)")  # fmt: skip
-    radio.add_argument("--altitude", type=float, default=link.altitude_m, metavar="M",
+    radio.add_argument("--altitude", type=_between(1, 5000), default=link.altitude_m, metavar="M",
                        help="height of the UAVs above the ground [m] (default: %(default)g)")  # fmt: skip
     return parser
 
@@ -269,18 +265,23 @@ def _whole(text: str) -> int:
     return number
 
 
-def _length(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not 0.0 <= number < math.inf:
-        raise argparse.ArgumentTypeError(f"must be a number, at least 0, got {text!r}")
+def _between(low: float, high: float) -> Callable[[str], float]:
+    """Type of an option: a number in a range, those of the planner's parameters."""
+
+    def number(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"must be a number from {low:g} to {high:g}, got {text!r}")
+        return value
+
     return number
 
 
 def _time(text: str) -> float | None:
-    return _length(text) or None
+    return _between(0, 3600)(text) or None
 
 
 if __name__ == "__main__":

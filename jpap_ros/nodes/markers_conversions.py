@@ -112,24 +112,26 @@ def draw_fleet(scene: Scene) -> list[Marker]:
 
 def _devices(scene: Scene) -> list[Marker]:
     """Devices by service (shape) and demand (colour): served, unserved, and those that no plan knows yet."""
-    plan = scene.plan
-    served = {name for cell in plan.cells if cell.uav for name in cell.device_ids} if plan is not None else set()
-    unserved = {item.id for item in plan.unserved} if plan is not None else set()
+    plan = scene.plan or Deployment()
+    served = {name for cell in plan.cells if cell.uav for name in cell.device_ids}
     # A cell without an aircraft serves nobody.
-    unserved |= {name for cell in plan.cells if not cell.uav for name in cell.device_ids} if plan is not None else set()
+    unserved = {item.id for item in plan.unserved}.union(*[cell.device_ids for cell in plan.cells if not cell.uav])
     groups: dict[str, list[Device]] = {"devices_served": [], "devices_unserved": [], "devices_waiting": []}
     for device in scene.devices:
         kind = "served" if device.id in served else "unserved" if device.id in unserved else "waiting"
         groups[f"devices_{kind}"].append(device)
     diameter = 0.5 * scene.size_m
+    looks = {
+        "devices_served": (Marker.SPHERE_LIST, "white"),
+        "devices_unserved": (Marker.CUBE_LIST, "vermillion"),
+        "devices_waiting": (Marker.SPHERE_LIST, "grey"),
+    }
     markers = []
     for ns, devices in groups.items():
         if not devices:
             continue
-        shape = Marker.CUBE_LIST if ns == "devices_unserved" else Marker.SPHERE_LIST
-        marker = _marker(
-            ns, 0, shape, (diameter, diameter, diameter), "vermillion" if shape == Marker.CUBE_LIST else "grey"
-        )
+        shape, colour = looks[ns]
+        marker = _marker(ns, 0, shape, (diameter, diameter, diameter), colour)
         marker.points = [_point((*device.position, 0.0)) for device in devices]
         if ns == "devices_served":
             marker.colors = _demand_colours(devices, scene.devices)

@@ -91,5 +91,7 @@ class LinkBudget:
 
 def snr_demand(rates: ArrayLike) -> Floats:
     """Least signal-to-noise ratio 2^r - 1 that gives a rate of r bit/s/Hz: the weight w_k of a device."""
-    demand: Floats = np.expm1(np.asarray(rates, float) * math.log(2))
+    # Above 1024 bit/s/Hz it is infinite as far as numbers go: what no power serves.
+    with np.errstate(over="ignore"):
+        demand: Floats = np.expm1(np.asarray(rates, float) * math.log(2))
     return demand
