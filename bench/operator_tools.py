@@ -35,6 +35,7 @@ from mcap.reader import make_reader
 from playwright.sync_api import sync_playwright
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
 from jpap_ros.nodes.qos import DEVICES, LATCHED, SENSOR_DATA
@@ -263,7 +264,8 @@ def measure_dashboard(folder: Path, fleet_file: Path, args: argparse.Namespace) 
         while "open http" not in log.read_text():
             assert time.monotonic() < deadline, log.read_text()
             time.sleep(0.1)
-        time.sleep(5.0)
+        # Until it has found every topic.
+        time.sleep(15.0)
         print(f"{'dashboard':24}{'CPU [%]':>10}{'memory [MB]':>14}{'messages/s':>12}{'kB/s':>8}   (each page)")
         for pages in (0, 1, 5):
             readers = Readers(port, pages) if pages else None
@@ -321,7 +323,8 @@ def measure_recorder(folder: Path, fleet_file: Path, args: argparse.Namespace) -
             assert time.monotonic() < deadline, log.read_text()
             time.sleep(0.1)
         (path,) = recordings.iterdir()
-        time.sleep(5.0)
+        # Until it has found every topic.
+        time.sleep(15.0)
         usage, size = Usage(pid), path.stat().st_size
         time.sleep(args.seconds)
         share, memory = usage.look()
@@ -366,7 +369,7 @@ def main() -> None:
             for i in range(args.aircraft)
         ]
         fleet_file.write_text(yaml.safe_dump({"version": 1, "origin": ORIGIN, "uavs": uavs}))
-        rclpy.init(args=[])
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         fleet = SyntheticFleet(args.aircraft, args.devices, args.pose_hz)
         executor = SingleThreadedExecutor()
         executor.add_node(fleet)

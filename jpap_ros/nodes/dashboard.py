@@ -14,6 +14,7 @@ from jpap_msgs.msg import Deployment, DeviceUpdate, GeoDeviceUpdate, VehicleStat
 from jpap_msgs.srv import FleetCommand
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -101,10 +102,15 @@ class DashboardNode(Node):
         self.create_subscription(GeoDeviceUpdate, "geo_devices", self._on_devices, DEVICES)
         self.create_subscription(Deployment, "deployment", self._on_deployment, LATCHED)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        # Each subscription's event handlers are waited for as well: with those of 300 topics, waiting costs twice.
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         for name in fleet.names:
-            self.create_subscription(VehicleState, f"{name}/state", partial(self._on_state, name), LATCHED)
-            self.create_subscription(PoseStamped, f"{name}/pose", partial(self._on_pose, name), SENSOR_DATA)
-            self.create_subscription(PoseStamped, f"{name}/goal_pose", partial(self._on_goal, name), LATCHED)
+            for kind, topic, callback, qos in (
+                (VehicleState, "state", self._on_state, LATCHED),
+                (PoseStamped, "pose", self._on_pose, SENSOR_DATA),
+                (PoseStamped, "goal_pose", self._on_goal, LATCHED),
+            ):
+                self.create_subscription(kind, f"{name}/{topic}", partial(callback, name), qos, event_callbacks=quiet)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._states_topic = self.resolve_topic_name(f"{fleet.names[0]}/state")
         self.create_timer(1.0, self._look_round, clock=Clock(clock_type=ClockType.STEADY_TIME))
