@@ -1,8 +1,8 @@
 """The documentation says what the product does: its commands run or fit the product, its tables are those of the code.
 
-What can run here runs (`scripts/plan`, Python); commands of ROS 2's tools, which are not installed here, are checked
-word by word against executables, parameters, launch files, topics, services and message definitions. Dead links are
-looked for in test_readme.py.
+What can run here runs (`scripts/plan`, `scripts/report`, Python); commands of ROS 2's tools, which are not installed
+here, are checked word by word against executables, parameters, launch files, topics, services and message definitions.
+Dead links are looked for in test_readme.py.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from graph import Graph, NodeProcess
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from test_launch_files import executables
+from test_report import write_flight
 
 from jpap_ros.cli.plan import main as plan
 from jpap_ros.fleet.config import FleetFileError, parse_fleet
 from jpap_ros.nodes.parameter_tables import tables
+from jpap_ros.report.__main__ import main as report
 
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
@@ -113,8 +115,17 @@ def check_run(arguments: list[str]) -> None:
     assert executable in executables()
     known = tables().partition(f"### `{executable}`")[2].partition("### ")[0]
     for flag, setting in zip(rest[1::2], rest[2::2], strict=True):
-        assert (rest[0], flag) == ("--ros-args", "-p")
+        assert rest[0] == "--ros-args"
+        if flag == "--params-file":
+            continue
+        assert flag == "-p"
         assert f"| `{setting.partition(':=')[0]}`" in known, f"{executable} has no parameter {setting}"
+
+
+def check_bag(arguments: list[str]) -> None:
+    verb, *rest = arguments
+    assert verb in ("info", "play")
+    assert rest[:2] == ["-s", "mcap"] and rest[2].endswith(".mcap") and len(rest) == 3
 
 
 def check_launch(arguments: list[str]) -> None:
@@ -183,6 +194,12 @@ def test_commands(page: str, command: str, tmp_path: Path, monkeypatch: pytest.M
             shutil.copy(ROOT / "config" / name, tmp_path / "config")
         monkeypatch.chdir(tmp_path)
         run_plan(arguments, tmp_path)
+    elif program == "scripts/report" and page != "README.md":
+        monkeypatch.chdir(tmp_path)
+        recording = Path(arguments[0])
+        recording.parent.mkdir(parents=True)
+        write_flight(recording)
+        assert report(arguments) == 0
     elif program.startswith("scripts/"):
         assert os.access(ROOT / program, os.X_OK)
         if program == "scripts/demo":
@@ -190,6 +207,7 @@ def test_commands(page: str, command: str, tmp_path: Path, monkeypatch: pytest.M
     else:
         assert program == "ros2", f"nobody checks {command!r}"
         checks: dict[str, Callable[[list[str]], None]] = {
+            "bag": check_bag,
             "run": check_run,
             "launch": check_launch,
             "topic": check_topic,
