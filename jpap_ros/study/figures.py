@@ -74,7 +74,7 @@ def plot_over_gain(rows: Sequence[Row], path: Path) -> list[Path]:
 
 def _curves(axes: Axes, rows: Sequence[Row], metric: Metric, over: str) -> None:
     """One curve with error bars for each scheme."""
-    for scheme in sorted({row.scheme for row in rows}, key=scheme_order):
+    for rank, scheme in enumerate(sorted({row.scheme for row in rows}, key=scheme_order)):
         own = [row for row in rows if row.scheme == scheme]
         places: list[float] = sorted({getattr(row, over) for row in own})
         means = [mean_of(own, metric, **{over: place}) for place in places]
@@ -91,6 +91,9 @@ def _curves(axes: Axes, rows: Sequence[Row], metric: Metric, over: str) -> None:
             markersize=8 if style.marker == "*" else 5,
             capsize=2.5,
             elinewidth=0.9,
+            linewidth=style.width,
+            # Where curves run together, the paper's scheme, which comes first, is on top.
+            zorder=3 - rank / 100,
         )
 
 

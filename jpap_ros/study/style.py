@@ -31,13 +31,17 @@ METADATA: dict[str, dict[str, None]] = {".png": {"Software": None}, ".svg": {"Da
 
 
 class Look(NamedTuple):
-    """How a scheme is named and drawn: colour by placement; line and filling by power allocation."""
+    """How a scheme is named and drawn: colour by placement; line and filling by power allocation.
+
+    The spiral's lines are wider, as they run so close to JPAP's that one would hide the other.
+    """
 
     label: str
     colour: str
     line: str
     marker: str
     filled: bool
+    width: float = 1.3
 
     @property
     def face(self) -> str:
@@ -49,8 +53,8 @@ LOOKS = {
     "jpap": Look("JPAP (QDPA)", BLUE, "-", "*", True),
     "jpap_epa": Look("EPA-JPAP, own radii", VERMILLION, "--", "s", False),
     "jpap_epa_common": Look("EPA-JPAP, common radius", VERMILLION, ":", "D", False),
-    "spiral_qdpa": Look("Spiral, QDPA", GREEN, "-", "o", True),
-    "spiral_epa": Look("Spiral, EPA", GREEN, "--", "o", False),
+    "spiral_qdpa": Look("Spiral, QDPA", GREEN, "-", "o", True, 3.2),
+    "spiral_epa": Look("Spiral, EPA", GREEN, "--", "o", False, 3.2),
     "kmeans_qdpa": Look("K-means, QDPA", ORANGE, "-", "^", True),
     "kmeans_epa": Look("K-means, EPA", ORANGE, "--", "^", False),
     "optimal": Look("Optimal (proven)", BLACK, "-.", "x", True),
