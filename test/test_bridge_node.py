@@ -21,6 +21,7 @@ from graph import Graph, NodeProcess
 from jpap_msgs.msg import Cell, Deployment, VehicleState
 from jpap_msgs.srv import FleetCommand
 from rclpy.publisher import Publisher
+from sim_peer import Peer
 
 from jpap_ros.fleet.config import FleetConfig, load_fleet
 from jpap_ros.nodes.qos import LATCHED, SENSOR_DATA
@@ -248,8 +249,17 @@ def test_a_port_in_use_is_named(start_node: Callable[..., NodeProcess], fleet_fi
     assert str(url.port) in bridge.output.strip().splitlines()[-1]
 
 
-def test_each_plan_is_kept_as_files_and_trouble_with_them_is_told_once(
-    graph: Graph, start_node: Callable[..., NodeProcess], fleet_file: Path, tmp_path: Path
+@pytest.fixture
+def station(fleet_file: Path, free_ports: Callable[[int], list[int]]) -> Iterator[Peer]:
+    """Return a ground station's socket, which the fleet file now names."""
+    with Peer.udp(*free_ports(1)) as peer:
+        fleet = yaml.safe_load(fleet_file.read_text())
+        fleet_file.write_text(yaml.safe_dump({**fleet, "gcs_urls": [f"udpout:127.0.0.1:{peer.port}"]}))
+        yield peer
+
+
+def test_each_plan_is_told_and_kept_as_files_and_trouble_with_them_is_told_once(
+    graph: Graph, start_node: Callable[..., NodeProcess], fleet_file: Path, tmp_path: Path, station: Peer
 ) -> None:
     """Oracle: positions of the goals that the test publishes; 111.2 km to a degree of latitude, within 1 %."""
     folder = tmp_path / "plans"
@@ -278,12 +288,19 @@ def test_each_plan_is_kept_as_files_and_trouble_with_them_is_told_once(
     folder.write_text("")
     states = graph.collect(VehicleState, "uav1/state", LATCHED)
     goals = publisher(graph, PoseStamped, "uav1/goal_pose")
-    for plan_id in (2, 3):
-        publish(plan_id)
-        goals.publish(goal(graph, 0.0, 1000.0, 60.0 + plan_id))
+    publish(2)
+    goals.publish(goal(graph, 0.0, 1000.0, 62.0))
     graph.wait(lambda: "plan_dir: plan 2 cannot be written" in bridge.output, "the trouble in the log")
+    publish(3)
+    station.wait(lambda m: m.get_type() == "STATUSTEXT" and m.text.startswith("Plan 3"))
+    publish(3)
+    goals.publish(goal(graph, 0.0, 1000.0, 63.0))
     # The bridge goes on: a plan that leaves the aircraft out still reaches it, after the plans before.
     plans.publish(plan(graph.node.get_clock().now().to_msg(), 4))
     graph.wait(lambda: bool(states) and states[-1].goal_reason == "no cell in plan 4", "the newest plan")
     assert bridge.stop() == 0
     assert bridge.output.count("cannot be written") == 1
+    while station.hear(0.1):
+        pass
+    told = [message.text for message in station.heard if message.get_type() == "STATUSTEXT"]
+    assert told == [f"Plan {plan_id}: 0 devices, 0 E 1000 N 60 m up" for plan_id in (1, 2, 3)], "each change once"
