@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jpap_ros.fleet.assignment import assign
-from jpap_ros.fleet.separation_check import polyline_distance, segment_distance
+from jpap_ros.fleet.separation_check import overrun_distance, polyline_distance, segment_distance
 from jpap_ros.fleet.transit import plan_transit
 from jpap_ros.fleet.transit_plan import Obstacle, TransitLimits, minimum_separation
 
@@ -257,6 +257,27 @@ def test_segment_distance_against_a_dense_grid(numbers):
     exact = float(segment_distance(a0, a1, b0, b1))
     spacing = (np.linalg.norm(a1 - a0) + np.linalg.norm(b1 - b0)) / 160
     assert grid - spacing - 1e-9 <= exact <= grid + 1e-9
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(-6, 6).map(float), min_size=12, max_size=12), st.floats(0.0, 1.0))
+def test_overrun_distance_against_a_dense_grid(numbers, overrun):
+    a0, a1, b0, b1 = np.array(numbers).reshape(4, 3)
+    stopped, farther = np.meshgrid(np.linspace(0, 1, 81), overrun * np.linspace(0, 1, 81))
+    flying = np.minimum(stopped + farther, 1.0)
+    places = a0 + stopped[..., None] * (a1 - a0), b0 + flying[..., None] * (b1 - b0)
+    grid = np.linalg.norm(places[0] - places[1], axis=2).min()
+    exact = float(overrun_distance(a0, a1, b0, b1, overrun))
+    spacing = (np.linalg.norm(a1 - a0) + 2 * np.linalg.norm(b1 - b0)) / 160
+    assert grid - spacing - 1e-9 <= exact <= grid + 1e-9
+
+
+def test_those_that_follow_closely_fly_slowly_enough_to_stop():
+    # 20 m apart in one line, 10 m to spare: v + v^2 / 2 <= 10 m for a reaction of 1 s and 1 m/s^2, so 3.5 m/s of the
+    # shares of 5 m/s (3.58 m/s would do). 200 m, 3.5 s and 6.125 m each to get up to speed and down from it.
+    starts = {"a": (0, 0, 50), "b": (20, 0, 50)}
+    plan = plan_transit(starts, {"a": (200, 0, 50), "b": (220, 0, 50)}, LIMITS)
+    assert plan.duration_s == pytest.approx(2 * 3.5 + (200 - 2 * 6.125) / 3.5)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,38 @@ def synchronous_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floa
     return point_distance(np.zeros(3), a0 - b0, a1 - b1)
 
 
+def overrun_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats, overrun: Floats | float) -> Floats:
+    """Least distance [m] of two on one clock, where the first stops dead at any moment and the second overruns.
+
+    Parameters
+    ----------
+    a0, a1, b0, b1 : (..., 3) float
+        Ends of the legs of the first and of the second [m].
+    overrun : float or (...) float
+        Share of its leg, up to 1, that the second flies on at most; not beyond its end.
+
+    Notes
+    -----
+    The first at share s and the second at s + d are w + s (u - v) - d v apart. With 0 <= d <= overrun and
+    0 <= s <= 1 - d that is a flat quadrangle, and its distance to the origin is taken on an edge or inside.
+    """
+    w, along, across = a0 - b0, (a1 - a0) - (b1 - b0), -(b1 - b0)
+    far = np.broadcast_to(np.asarray(overrun, dtype=np.float64)[..., None], w.shape)
+    corners = w, w + along, w + (1 - far) * along + far * across, w + far * across
+    origin = np.zeros(3)
+    edges = [point_distance(origin, corners[k - 1], corners[k]) for k in range(4)]
+    distance: Floats = np.minimum.reduce(edges)
+    ss, sd, dd = _dot(along, along), _dot(along, across), _dot(across, across)
+    ws, wd = _dot(w, along), _dot(w, across)
+    area2 = ss * dd - sd * sd
+    regular = area2 > 1e-12 * ss * dd
+    scale = np.where(regular, area2, 1.0)
+    s, d = (sd * wd - dd * ws) / scale, (sd * ws - ss * wd) / scale
+    inside = regular & (d > 0) & (d < far[..., 0]) & (s > 0) & (s < 1 - d)
+    foot = np.linalg.norm(w + s[..., None] * along + d[..., None] * across, axis=-1)
+    return np.where(inside, np.minimum(distance, foot), distance)
+
+
 def segment_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
     """Least distance [m] of any point of segment a0 a1 to any point of segment b0 b1; shapes (..., 3).
 

@@ -57,6 +57,11 @@ class TimeLaw:
             return v0 * elapsed + a * elapsed**2 / 2, v0 + a * elapsed
         return (peak**2 - v0**2) / (2 * a) + peak * (elapsed - speeding_up), peak
 
+    def overrun(self, reaction_s: float) -> float:
+        """Most progress from any moment until it is at rest, where slowing down begins so much later."""
+        peak = self._phases[0]
+        return min(peak * reaction_s + peak**2 / (2 * self.acceleration), 1.0)
+
     def rest(self, time_s: float) -> tuple[float, TimeLaw]:
         """What is left after a time before the end: from which s, and the law from there to s = 1."""
         s, speed = self.at(time_s)

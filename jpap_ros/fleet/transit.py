@@ -13,15 +13,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jpap_ros.fleet.arrays import Floats
-from jpap_ros.fleet.separation_check import synchronous_distance
-from jpap_ros.fleet.time_law import leg_law
+from jpap_ros.fleet.separation_check import overrun_distance, synchronous_distance
+from jpap_ros.fleet.time_law import TimeLaw, leg_law
 from jpap_ros.fleet.transit_plan import Convoy, Obstacle, TransitLimits, TransitPlan
-from jpap_ros.fleet.transit_scene import Scene
+from jpap_ros.fleet.transit_scene import ROUNDING_M, Scene
+
+#: Shares of full speed to try; at the last, 1 m/s of 5, stopping takes less than the planned separation has to spare.
+SHARES_OF_SPEED = (1.0, 0.85, 0.7, 0.55, 0.4, 0.3, 0.2)
 
 
 def plan_transit(
@@ -179,13 +183,24 @@ class _Route:
 
     def convoy(self, scene: Scene) -> Convoy:
         """Return the group with its clock."""
-        limits = scene.limits
         waypoints = np.array(self.waypoints)
-        laws = tuple(
-            leg_law(leg, limits.speed_m_s, limits.vertical_speed_m_s, limits.acceleration_m_s2)
-            for leg in np.diff(waypoints, axis=0)
-        )
+        laws = tuple(_law(start, end, scene.limits) for start, end in pairwise(waypoints))
         return Convoy(tuple(scene.names[i] for i in self.members), waypoints, laws)
+
+
+def _law(start: Floats, end: Floats, limits: TransitLimits) -> TimeLaw:
+    """Fastest law for a leg at which nobody gets too near to a member that drops out and stops dead."""
+    stopped, flying = np.nonzero(~np.eye(len(start), dtype=bool))
+    legs = start[stopped], end[stopped], start[flying], end[flying]
+    apart = np.minimum(*(np.linalg.norm(places[stopped] - places[flying], axis=1) for places in (start, end)))
+    least = np.minimum(apart, limits.min_separation_m) - ROUNDING_M
+    for share in SHARES_OF_SPEED:
+        law = leg_law(
+            end - start, share * limits.speed_m_s, share * limits.vertical_speed_m_s, limits.acceleration_m_s2
+        )
+        if (overrun_distance(*legs, law.overrun(limits.reaction_s)) >= least).all():
+            break
+    return law
 
 
 def _groups(scene: Scene) -> list[frozenset[int]]:

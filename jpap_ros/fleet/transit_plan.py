@@ -26,6 +26,9 @@ class TransitLimits:
         Least distance in space between any two aircraft in the air [m].
     tracking_error_m : float
         Farthest that an aircraft may be from its moving setpoint [m]; twice this is added to the separation.
+    reaction_s : float
+        Time until an aircraft that drops out of a convoy is noticed [s]. Convoys are flown no faster than that the
+        others can then stop before they come nearer than `min_separation_m` to one that stops dead.
     speed_m_s, vertical_speed_m_s, acceleration_m_s2 : float
         What every aircraft can do; below what its autopilot is configured for, so that it can follow.
     min_altitude_m, max_altitude_m : float
@@ -34,6 +37,7 @@ class TransitLimits:
 
     min_separation_m: float = 10.0
     tracking_error_m: float = 1.0
+    reaction_s: float = 1.0
     speed_m_s: float = 5.0
     vertical_speed_m_s: float = 1.5
     acceleration_m_s2: float = 1.0
@@ -45,7 +49,7 @@ class TransitLimits:
             value = getattr(self, item.name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
                 raise ValueError(f"{item.name} must be a finite number, got {value!r}")
-        for name in ("min_separation_m", "tracking_error_m"):
+        for name in ("min_separation_m", "tracking_error_m", "reaction_s"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must be >= 0, got {getattr(self, name)!r}")
         for name in ("speed_m_s", "vertical_speed_m_s", "acceleration_m_s2"):
@@ -58,6 +62,7 @@ class TransitLimits:
         """Return the limits of aircraft that live `rate` times as fast as the clock, as in a simulation."""
         return replace(
             self,
+            reaction_s=self.reaction_s / rate,
             speed_m_s=self.speed_m_s * rate,
             vertical_speed_m_s=self.vertical_speed_m_s * rate,
             acceleration_m_s2=self.acceleration_m_s2 * rate**2,
