@@ -202,8 +202,9 @@ class DashboardNode(Node):
 
     async def _call(self, client: Any, request: Any, patience_s: float) -> Any:
         """Call a service; return its response, or an Outcome that says why there is none."""
+        name = self.resolve_service_name(client.srv_name)
         if not client.service_is_ready():
-            return Outcome(False, f"{client.srv_name} is not there: is its node running?")
+            return Outcome(False, f"{name} is not there: is its node running?")
         loop = asyncio.get_running_loop()
         answer: asyncio.Future[Any] = loop.create_future()
 
@@ -218,7 +219,7 @@ class DashboardNode(Node):
             return await asyncio.wait_for(answer, patience_s)
         except asyncio.TimeoutError:
             client.remove_pending_request(pending)
-            return Outcome(False, f"no answer from {client.srv_name} within {patience_s:g} s")
+            return Outcome(False, f"no answer from {name} within {patience_s:g} s")
 
 
 def _page(fleet: FleetConfig, settings: dict[str, Any]) -> dict[str, Any]:
