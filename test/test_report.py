@@ -37,9 +37,9 @@ from rclpy.serialization import serialize_message
 
 from jpap_ros.nodes.recorder_definitions import full_definition
 from jpap_ros.report.__main__ import main
-from jpap_ros.report.flight import Flight, flight_of, is_of_flight
+from jpap_ros.report.flight import Flight, is_of_flight, read_flight
 from jpap_ros.report.page import Figures, compute
-from jpap_ros.report.recording import RecordingError, read_recording
+from jpap_ros.report.recording import RecordingError, RecordingReader, read_recording
 
 BEGAN_NS = 1_800_000_000 * 10**9
 FLEET = {
@@ -129,12 +129,10 @@ def write_flight(path: Path, **more: Any) -> Path:
         t.say(2.0, "/deployment", deployment(1, 0.5, "2 devices joined", -1))
         t.say(3.75, "/uav1/state", state("uav1", mode="GUIDED", armed=True))
         # It hovers at its goal, and from 9.75 s on 50 m above it.
-        for at_s in np.arange(3.75, 9.8, 0.5):
-            t.pose(float(at_s), "uav1", 0.0, 0.0, 50.0 if at_s < 9.7 else 100.0)
-        t.pose(9.7, "uav1", 0.0, 0.0, 50.0)
-        t.pose(9.75, "uav1", 0.0, 0.0, 100.0)
-        for at_s in range(10, 21, 2):
-            t.pose(float(at_s), "uav1", 0.0, 0.0, 100.0)
+        for at_s in (3.75, 6.0, 8.0, 9.7):
+            t.pose(at_s, "uav1", 0.0, 0.0, 50.0)
+        for at_s in (9.75, 12.0, 14.0, 16.0, 18.0, 20.0):
+            t.pose(at_s, "uav1", 0.0, 0.0, 100.0)
         # It flies past from north to south, abeam of the other at 6.1 s, 30 m east of it.
         for at_s, north in (
             (0.0, 40.0),
@@ -160,6 +158,10 @@ def write_flight(path: Path, **more: Any) -> Path:
     return path
 
 
+def flight_of(*paths: Path) -> Flight:
+    return read_flight(RecordingReader(paths, is_of_flight))
+
+
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_flight(tmp_path_factory.mktemp("flight") / "flight.mcap")
@@ -167,7 +169,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def flight(path: Path) -> Flight:
-    return flight_of(read_recording([path], is_of_flight))
+    return flight_of(path)
 
 
 @pytest.fixture(scope="module")
@@ -288,13 +290,13 @@ def test_the_page_holds_everything_and_works_without_a_network(path: Path, tmp_p
 
 
 def test_a_recording_cut_off_anywhere_is_read_as_far_as_it_goes(path: Path, tmp_path: Path) -> None:
-    whole = read_recording([path]).told
+    whole = read_recording([path], is_of_flight).told
     data, counts = path.read_bytes(), []
     torn = tmp_path / "torn.mcap"
     for length in range(0, len(data), len(data) // 40):
         torn.write_bytes(data[:length])
         try:
-            recording = read_recording([torn])
+            recording = read_recording([torn], is_of_flight)
         except RecordingError as error:
             assert "torn.mcap" in str(error) and "\n" not in str(error)
             counts.append(0)
@@ -312,7 +314,7 @@ def test_a_recording_damaged_in_the_middle_is_read_up_to_there(path: Path, tmp_p
     damaged.write_bytes(data.replace(b"1 device changed demand", b"9 device changed demand"))
     recording = read_recording([damaged], is_of_flight)
     assert 0 < len(recording.told) < len(read_recording([path], is_of_flight).told)
-    (note,) = flight_of(recording).notes
+    (note,) = flight_of(damaged).notes
     assert note.startswith("damaged.mcap is damaged in the middle")
 
 
@@ -368,7 +370,7 @@ def test_a_split_recording_is_one_flight(tmp_path: Path) -> None:
     with tape(second) as t:
         t.say(5.0, "/deployment", deployment(1, 0.1, "1 device joined", -1))
     # In any order.
-    flight = flight_of(read_recording([second, first], is_of_flight))
+    flight = flight_of(second, first)
     (report,) = flight.devices["g"]
     assert report.position == pytest.approx((0.0, 0.0), abs=1e-6), "at the map's origin"
     assert flight.duration_s == pytest.approx(5.0)

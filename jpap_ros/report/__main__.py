@@ -12,9 +12,9 @@ import yaml
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from jpap_ros.report.flight import flight_of, is_of_flight
+from jpap_ros.report.flight import is_of_flight, read_flight
 from jpap_ros.report.page import STEPS, compute, render
-from jpap_ros.report.recording import Recording, RecordingError, read_recording
+from jpap_ros.report.recording import RecordingError, RecordingReader
 
 _EXAMPLES = """examples:
   scripts/report recordings/2026-11-22T05-36-12Z.mcap            writes report.html
@@ -29,12 +29,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parse(arguments)
     console = Console(stderr=True)
     try:
-        recording = _read(options.files, console)
-        if options.extract is not None:
-            for path in extract(recording, options.extract):
-                sys.stdout.write(f"{path}\n")
-            return 0
-        flight = flight_of(recording, options.namespace)
+        total = sum(path.stat().st_size for path in options.files if path.is_file())
+        with _progress(console) as progress:
+            task = progress.add_task("reading", total=total)
+            reader = RecordingReader(options.files, is_of_flight, lambda done: progress.update(task, completed=done))
+            if options.extract is not None:
+                for path in extract(reader, options.extract):
+                    sys.stdout.write(f"{path}\n")
+                return 0
+            flight = read_flight(reader, options.namespace)
         with _progress(console) as progress:
             task = progress.add_task("drawing", total=STEPS)
             page = render(flight, compute(flight), options.files, lambda: progress.advance(task))
@@ -49,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def extract(recording: Recording, folder: Path) -> list[Path]:
+def extract(reader: RecordingReader, folder: Path) -> list[Path]:
     """Write the fleet file and the planner's parameters, to plan again under the same conditions; return the paths.
 
     Raises
@@ -57,8 +60,10 @@ def extract(recording: Recording, folder: Path) -> list[Path]:
     RecordingError
         If the recording has neither.
     """
-    files = {} if recording.fleet_text is None else {"fleet.yaml": recording.fleet_text}
-    for node, values in recording.parameters.items():
+    for _ in reader:
+        """All else is known when the messages have been read."""
+    files = {} if reader.fleet_text is None else {"fleet.yaml": reader.fleet_text}
+    for node, values in reader.parameters.items():
         # Of another machine and another time.
         kept = {name: value for name, value in values.items() if name not in ("fleet_file", "state_file")}
         name = node.strip("/").replace("/", "_")
@@ -69,13 +74,6 @@ def extract(recording: Recording, folder: Path) -> list[Path]:
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
     return [folder / name for name in files]
-
-
-def _read(files: Sequence[Path], console: Console) -> Recording:
-    total = sum(path.stat().st_size for path in files if path.is_file())
-    with _progress(console) as progress:
-        task = progress.add_task("reading", total=total)
-        return read_recording(files, is_of_flight, lambda done: progress.update(task, completed=done))
 
 
 def _progress(console: Console) -> Progress:

@@ -11,8 +11,9 @@ from jpap_ros.report.motion import metres_by_plan
 _LINKS = ("never seen", "connected", "lost")
 _LANDED = ("landed state unknown", "on the ground", "in the air", "taking off", "landing")
 _GOALS = ("no goal", "goal sent", "goal accepted", "on its way", "goal reached", "goal refused", "taken over", "lost")
-_OK, _WARN, _ERROR = 0, 1, 2
-_LOG_WARN, _LOG_ERROR = 30, 40
+#: Of a diagnostic status: OK, WARN, and ERROR or STALE.
+_LEVELS = ("ok", "warning", "error")
+_LOG_ERROR = 40
 _GOAL_TROUBLE = (5, 6, 7)
 _LINK_LOST = 2
 
@@ -111,26 +112,14 @@ def _word(words: tuple[str, ...], value: int) -> str:
 
 
 def _diagnostics(flight: Flight) -> list[Event]:
-    """Statuses whose level changed; figures in their words change every second."""
-    found, levels = [], dict[str, int]()
-    for at_s, status in flight.diagnostics:
-        level = _level(status.level)
-        if level != levels.get(status.name, _OK):
-            word = ("ok", "warning", "error")[min(level, _ERROR)]
-            text = status.message if level != _OK else f"all right again: {status.message}"
-            found.append(Event(at_s, "diagnostic", status.name, text, word))
-        levels[status.name] = level
-    return found
-
-
-def _level(value: Any) -> int:
-    """Return the level, which the definition calls a byte, as a number."""
-    return value[0] if isinstance(value, bytes) else int(value)
+    return [
+        Event(at_s, "diagnostic", name, message if level else f"all right again: {message}", _LEVELS[min(level, 2)])
+        for at_s, name, level, message in flight.diagnostics
+    ]
 
 
 def _log(flight: Flight) -> list[Event]:
     return [
         Event(at_s, "log", line.name, line.msg, "error" if line.level >= _LOG_ERROR else "warning")
         for at_s, line in flight.log
-        if line.level >= _LOG_WARN
     ]

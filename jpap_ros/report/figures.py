@@ -316,9 +316,8 @@ def batteries(flight: Flight, flown: Mapping[str, float]) -> str:
     with _picture(2.8) as (figure, (axes,)):
         moved = 0
         for name, track in flight.tracks.items():
-            times = np.array([at for at, _ in track.states])
-            left = np.array([state.battery_remaining for _, state in track.states], dtype=float)
-            if not np.any(np.isfinite(left)):
+            times, left = np.array(track.charge_times), np.array(track.charge)
+            if not len(times):
                 continue
             keep = _thinned(len(times), _MOST_POINTS)
             line: dict[str, Any] = {"color": GREY, "linewidth": 0.8}

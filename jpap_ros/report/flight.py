@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from array import array
 from bisect import bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 from jpap_ros.fleet.config import FleetConfig, FleetFileError, parse_fleet
 from jpap_ros.mavlink.geodesy import LocalFrame
-from jpap_ros.report.recording import Recording, RecordingError, Told
+from jpap_ros.report.recording import RecordingError, RecordingReader, Told
 
 Floats = npt.NDArray[np.float64]
 
@@ -34,6 +35,12 @@ FLYING_ABOVE_M = 2.0
 _CONNECTED = 1
 #: MAV_LANDED_STATE: in the air, taking off, landing.
 _AIRBORNE = (2, 3, 4)
+#: GOAL_REJECTED, GOAL_YIELDED, GOAL_LOST.
+_GOAL_TROUBLE = (5, 6, 7)
+#: Of the log's levels.
+LOG_WARN = 30
+#: A message heard so long after it was sent was latched [s].
+_LATCHED_S = 1.0
 
 
 def is_of_flight(topic: str, type_name: str) -> bool:
@@ -84,17 +91,50 @@ class Plan:
 
 @dataclass
 class Track:
-    """Where an aircraft was told to be, and its states."""
+    """Where an aircraft was told to be, and its states.
 
-    times: list[float] = field(default_factory=list)
-    points: list[tuple[float, float, float]] = field(default_factory=list)
+    Attributes
+    ----------
+    times : array of float
+        Of the positions [s].
+    points : array of float
+        East, north and up [m] of each, one after the other.
+    states : list of (float, object)
+        States that differ from the one before in more than figures, and when they were told [s].
+    charge_times, charge : array of float
+        When a battery was told [s], and what was left of it [0..1].
+    """
+
+    times: array[float] = field(default_factory=lambda: array("d"))
+    points: array[float] = field(default_factory=lambda: array("d"))
     states: list[tuple[float, Any]] = field(default_factory=list)
+    charge_times: array[float] = field(default_factory=lambda: array("d"))
+    charge: array[float] = field(default_factory=lambda: array("d"))
+
+    def add_pose(self, at_s: float, place: tuple[float, float, float]) -> None:
+        """Take in a position; one that is no newer than the last is left out."""
+        if not self.times or at_s > self.times[-1]:
+            self.times.append(at_s)
+            self.points.extend(place)
+
+    def add_state(self, at_s: float, state: Any) -> None:
+        """Take in a state."""
+        if not self.states or _signature(state) != _signature(self.states[-1][1]):
+            self.states.append((at_s, state))
+        if math.isfinite(state.battery_remaining):
+            self.charge_times.append(at_s)
+            self.charge.append(state.battery_remaining)
+
+    @property
+    def places(self) -> Floats:
+        """Return (K, 3) positions [m]."""
+        return np.array(self.points).reshape(-1, 3)
 
     def positions(self, grid: Floats) -> Floats:
         """Return (T, 3) positions, linear in between; NaN where none was told for too long."""
         if not self.times:
             return np.full((len(grid), 3), math.nan)
-        times, points = np.array(self.times), np.array(self.points)
+        times, points = np.array(self.times), self.places
         after = np.clip(np.searchsorted(times, grid, side="right"), 1, max(1, len(times) - 1))
         found = np.column_stack([np.interp(grid, times, points[:, axis]) for axis in range(3)])
         gap = times[np.minimum(after, len(times) - 1)] - times[after - 1]
@@ -127,8 +167,10 @@ class Flight:
     devices : mapping of str to list of DeviceReport
     changes : tuple of ReportedChange
     tracks : mapping of str to Track
-    diagnostics, log : tuple of (float, object)
-        Statuses and log lines.
+    diagnostics : tuple of (float, str, int, str)
+        Changes of a status's level: when, of which status, to which level, and its message.
+    log : tuple of (float, object)
+        Lines of warnings and errors.
     notes : tuple of str
     """
 
@@ -140,7 +182,7 @@ class Flight:
     devices: dict[str, list[DeviceReport]]
     changes: tuple[ReportedChange, ...]
     tracks: dict[str, Track]
-    diagnostics: tuple[tuple[float, Any], ...]
+    diagnostics: tuple[tuple[float, str, int, str], ...]
     log: tuple[tuple[float, Any], ...]
     notes: tuple[str, ...]
 
@@ -158,12 +200,13 @@ class Flight:
         return reports[found - 1]
 
 
-def flight_of(recording: Recording, namespace: str | None = None) -> Flight:
-    """Put a flight together.
+def read_flight(reader: RecordingReader, namespace: str | None = None) -> Flight:
+    """Read a flight.
 
     Parameters
     ----------
-    recording : Recording
+    reader : RecordingReader
+        Of messages that are `is_of_flight`.
     namespace : str, optional
         Of the fleet; needed where several planners were recorded.
 
@@ -172,18 +215,19 @@ def flight_of(recording: Recording, namespace: str | None = None) -> Flight:
     RecordingError
         If there is no deployment in it, or which fleet is meant is not clear.
     """
-    spaces = sorted({_namespace(item.topic) for item in recording.told if item.type_name == DEPLOYMENT})
+    collector = _Collector()
+    for item in reader:
+        collector.add(item)
+    spaces = sorted({_namespace(item.topic) for item in collector.plans})
     if namespace is not None:
         wanted = "/" + namespace.strip("/")
         spaces = [space for space in spaces if space == wanted]
-    where = ", ".join(str(path) for path in recording.paths)
+    where = ", ".join(str(path) for path in reader.paths)
     if not spaces:
         raise RecordingError(f"{where}: no deployment was recorded" + (f" in {namespace!r}" if namespace else ""))
     if len(spaces) > 1:
         raise RecordingError(f"{where}: has fleets in {', '.join(spaces)}: choose one with --namespace")
-    notes = list(recording.notes)
-    fleet = _fleet(recording.fleet_text, notes)
-    return _Builder(recording, spaces[0], fleet, notes).flight()
+    return _Builder(collector, reader, spaces[0]).flight()
 
 
 def held(times: Floats, values: npt.NDArray[Any], grid: Floats, before: Any) -> npt.NDArray[Any]:
@@ -192,77 +236,113 @@ def held(times: Floats, values: npt.NDArray[Any], grid: Floats, before: Any) -> 
     return np.concatenate([np.array([before], dtype=values.dtype), values])[index]
 
 
-class _Builder:
-    def __init__(self, recording: Recording, namespace: str, fleet: FleetConfig | None, notes: list[str]) -> None:
-        self._recording = recording
-        self._prefix = namespace.rstrip("/") + "/"
-        self._fleet = fleet
-        self._frame = None if fleet is None else LocalFrame(fleet.origin)
-        self._notes = notes
-        told = [item for item in recording.told if self._concerns(item)]
-        self._began_s = min(min(item.sent_s, item.heard_s) if _is_live(item) else item.heard_s for item in told)
-        self._told = told
-        self._plans: list[Plan] = []
-        self._devices: dict[str, list[DeviceReport]] = {}
-        self._changes: list[ReportedChange] = []
-        self._tracks: dict[str, Track] = {name: Track() for name in (() if fleet is None else fleet.names)}
-        self._diagnostics: list[tuple[float, Any]] = []
-        self._log: list[tuple[float, Any]] = []
+class _Collector:
+    """Takes in messages in any order of topics and keeps what is needed of each; times are those of sending [s].
 
-    def _concerns(self, item: Told) -> bool:
-        return item.type_name in (DIAGNOSTICS, LOG) or item.topic.startswith(self._prefix)
+    Which messages belong to the fleet that is meant is only known at the end, so that all are kept by topic.
+    """
 
-    def flight(self) -> Flight:
-        for item in self._told:
-            at_s = item.sent_s - self._began_s
-            if item.type_name == DEPLOYMENT:
-                self._add_plan(at_s, item.message)
-            elif item.type_name in (DEVICES, GEO_DEVICES):
-                self._add_report(at_s, item)
-            elif item.type_name == STATE:
-                self._track(item.message.uav).states.append((at_s, item.message))
-            elif item.type_name == POSE:
-                self._add_pose(item)
-            elif item.type_name == DIAGNOSTICS:
-                self._diagnostics += [(at_s, status) for status in item.message.status]
-            else:
-                self._log.append((at_s, item.message))
-        for track in self._tracks.values():
-            track.states.sort(key=lambda state: state[0])
-        return Flight(
-            began_s=self._began_s,
-            duration_s=max(item.heard_s for item in self._told) - self._began_s,
-            fleet=self._fleet,
-            bandwidth_hz=self._bandwidth_hz(),
-            plans=tuple(sorted(self._plans, key=lambda plan: plan.at_s)),
-            devices=self._devices,
-            changes=tuple(self._changes),
-            tracks=dict(sorted(self._tracks.items(), key=lambda item: _natural(item[0]))),
-            diagnostics=tuple(self._diagnostics),
-            log=tuple(self._log),
-            notes=tuple(self._notes),
-        )
+    def __init__(self) -> None:
+        self.plans: list[Told] = []
+        self.reports: list[Told] = []
+        self.poses: dict[str, Track] = {}
+        self.states: dict[str, Track] = {}
+        self.diagnostics: list[tuple[float, str, int, str]] = []
+        self.log: list[tuple[float, Any]] = []
+        self.began_s, self.ended_s = math.inf, -math.inf
+        self._levels: dict[str, int] = {}
 
-    def _track(self, name: str) -> Track:
-        return self._tracks.setdefault(name, Track())
-
-    def _add_plan(self, at_s: float, message: Any) -> None:
-        planning_s = message.planning_time.sec + 1e-9 * message.planning_time.nanosec
-        self._plans.append(Plan(at_s, at_s - planning_s, planning_s, message))
+    def add(self, item: Told) -> None:
+        # What was latched before the recording began does not make it longer.
+        live = item.heard_s - item.sent_s < _LATCHED_S
+        self.began_s = min(self.began_s, item.sent_s if live else item.heard_s)
+        self.ended_s = max(self.ended_s, item.heard_s)
+        if item.type_name == DEPLOYMENT:
+            self.plans.append(item)
+        elif item.type_name in (DEVICES, GEO_DEVICES):
+            self.reports.append(item)
+        elif item.type_name == STATE:
+            self.states.setdefault(item.topic, Track()).add_state(item.sent_s, item.message)
+        elif item.type_name == POSE:
+            self._add_pose(item)
+        elif item.type_name == DIAGNOSTICS:
+            self._add_diagnostics(item)
+        elif item.message.level >= LOG_WARN:
+            self.log.append((item.sent_s, item.message))
 
     def _add_pose(self, item: Told) -> None:
-        uav = item.topic.split("/")[-2]
-        stamp = item.message.header.stamp
+        stamp, point = item.message.header.stamp, item.message.pose.position
         at_s = stamp.sec + 1e-9 * stamp.nanosec
         # The bridge stamps a pose with the moment at which it was true. On a simulated clock that is another time.
         if abs(at_s - item.sent_s) > MAX_POSITION_GAP_S:
             at_s = item.sent_s
-        at_s -= self._began_s
-        track, point = self._track(uav), item.message.pose.position
-        if track.times and at_s <= track.times[-1]:
-            return
-        track.times.append(at_s)
-        track.points.append((point.x, point.y, point.z))
+        self.poses.setdefault(item.topic, Track()).add_pose(at_s, (point.x, point.y, point.z))
+
+    def _add_diagnostics(self, item: Told) -> None:
+        """Keep changes of level only: figures in a status's words change every second."""
+        for status in item.message.status:
+            # The definition calls the level a byte.
+            level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
+            if level != self._levels.get(status.name, 0):
+                self.diagnostics.append((item.sent_s, status.name, level, status.message))
+            self._levels[status.name] = level
+
+
+class _Builder:
+    """Makes a flight of what was collected, for the fleet in one namespace."""
+
+    def __init__(self, collected: _Collector, reader: RecordingReader, namespace: str) -> None:
+        self._collected = collected
+        self._parameters = reader.parameters
+        self._prefix = namespace.rstrip("/") + "/"
+        self._notes = list(reader.notes)
+        self._fleet = _fleet(reader.fleet_text, self._notes)
+        self._frame = None if self._fleet is None else LocalFrame(self._fleet.origin)
+        self._began_s = collected.began_s
+        self._devices: dict[str, list[DeviceReport]] = {}
+        self._changes: list[ReportedChange] = []
+
+    def flight(self) -> Flight:
+        collected, began_s = self._collected, self._began_s
+        for item in sorted(collected.reports, key=lambda item: item.sent_s):
+            if item.topic.startswith(self._prefix):
+                self._add_report(item.sent_s - began_s, item)
+        plans = [self._plan(item) for item in collected.plans if item.topic.startswith(self._prefix)]
+        return Flight(
+            began_s=began_s,
+            duration_s=collected.ended_s - began_s,
+            fleet=self._fleet,
+            bandwidth_hz=self._bandwidth_hz(),
+            plans=tuple(sorted(plans, key=lambda plan: plan.at_s)),
+            devices=self._devices,
+            changes=tuple(self._changes),
+            tracks=self._tracks(),
+            diagnostics=tuple(
+                (at_s - began_s, name, level, message) for at_s, name, level, message in collected.diagnostics
+            ),
+            log=tuple((at_s - began_s, line) for at_s, line in collected.log),
+            notes=tuple(self._notes),
+        )
+
+    def _plan(self, item: Told) -> Plan:
+        at_s, planning = item.sent_s - self._began_s, item.message.planning_time
+        planning_s = planning.sec + 1e-9 * planning.nanosec
+        return Plan(at_s, at_s - planning_s, planning_s, item.message)
+
+    def _tracks(self) -> dict[str, Track]:
+        tracks = {name: Track() for name in (() if self._fleet is None else self._fleet.names)}
+        for topic, pose in self._collected.poses.items():
+            if topic.startswith(self._prefix):
+                track = tracks.setdefault(topic.split("/")[-2], Track())
+                track.times = array("d", (at_s - self._began_s for at_s in pose.times))
+                track.points = pose.points
+        for topic, told in self._collected.states.items():
+            if topic.startswith(self._prefix):
+                track = tracks.setdefault(told.states[-1][1].uav, Track())
+                track.states = [(at_s - self._began_s, state) for at_s, state in told.states]
+                track.charge_times = array("d", (at_s - self._began_s for at_s in told.charge_times))
+                track.charge = told.charge
+        return dict(sorted(tracks.items(), key=lambda item: _natural(item[0])))
 
     def _add_report(self, at_s: float, item: Told) -> None:
         update = item.message
@@ -312,7 +392,7 @@ class _Builder:
                 yield device.id, (position, device.rate_demand, device.weight)
 
     def _bandwidth_hz(self) -> float:
-        for node, values in self._recording.parameters.items():
+        for node, values in self._parameters.items():
             if _namespace(node) == (self._prefix.rstrip("/") or "/") and "bandwidth_hz" in values:
                 return float(values["bandwidth_hz"])
         self._add_note("the planner's parameters were not recorded: bandwidth_hz is taken as 1")
@@ -332,9 +412,17 @@ def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
-def _is_live(item: Told) -> bool:
-    """Whether a message was sent while it was recorded, and not latched before."""
-    return item.heard_s - item.sent_s < 1.0
+def _signature(state: Any) -> tuple[Any, ...]:
+    """What makes a state another one; figures do not."""
+    return (
+        state.link,
+        state.autopilot,
+        state.mode,
+        state.armed,
+        state.landed_state,
+        state.goal_state,
+        state.goal_reason if state.goal_state in _GOAL_TROUBLE else "",
+    )
 
 
 def _fleet(text: str | None, notes: list[str]) -> FleetConfig | None:

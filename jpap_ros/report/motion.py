@@ -41,12 +41,12 @@ class Separation:
 
 def steps(track: Track) -> list[tuple[float, float]]:
     """Return when a track went on, and by how many metres: from point to point at least `LEAST_STEP_M` apart."""
-    if not track.points:
-        return []
-    found, last = [], track.points[0]
-    for at_s, point in zip(track.times, track.points, strict=True):
-        step = math.dist(last, point)
-        if step >= LEAST_STEP_M:
+    found: list[tuple[float, float]] = []
+    last: tuple[float, ...] | None = None
+    for at_s, point in zip(track.times, map(tuple, track.places.tolist()), strict=True):
+        if last is None:
+            last = point
+        elif (step := math.dist(last, point)) >= LEAST_STEP_M:
             found.append((at_s, step))
             last = point
     return found

@@ -151,12 +151,7 @@ def _cards(flight: Flight, found: Figures) -> list[dict[str, str]]:
     present = np.sum([s.present for s in found.services], axis=0) if found.services else np.zeros(1)
     planning = [1000.0 * plan.planning_s for plan in flight.plans]
     waited = [1000.0 * answer.latency_s for answer in found.answers]
-    charge = [
-        (state.battery_remaining, name)
-        for name, track in flight.tracks.items()
-        for _, state in track.states
-        if math.isfinite(state.battery_remaining)
-    ]
+    charge = [(min(track.charge), name) for name, track in flight.tracks.items() if track.charge]
     troubles = Counter(event.level for event in found.events)
     nearest = found.separation
     lowest = min(charge, default=(math.nan, ""))
@@ -252,15 +247,14 @@ def _aircraft_rows(flight: Flight, found: Figures) -> list[dict[str, str]]:
     step_s = float(found.grid[1] - found.grid[0]) if len(found.grid) > 1 else 0.0
     rows = []
     for name, track in flight.tracks.items():
-        charge = [s.battery_remaining for _, s in track.states if math.isfinite(s.battery_remaining)]
         last = track.states[-1][1] if track.states else None
         rows.append(
             {
                 "name": name,
                 "metres": f"{found.metres[name]:.0f}",
                 "airborne_s": f"{step_s * np.count_nonzero(track.airborne(found.grid)):.1f}",
-                "battery_first": _percent(charge[0], 0) if charge else "",
-                "battery_least": _percent(min(charge), 0) if charge else "",
+                "battery_first": _percent(track.charge[0], 0) if track.charge else "",
+                "battery_least": _percent(min(track.charge), 0) if track.charge else "",
                 "autopilot": last.autopilot if last is not None else "",
                 "mode": last.mode if last is not None else "",
             }

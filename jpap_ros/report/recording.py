@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import zstandard
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError
@@ -59,59 +60,79 @@ class Recording:
     ----------
     paths : tuple of Path
     told : tuple of Told
-    fleet_text : str or None
-        The fleet file that was flown with.
-    parameters : mapping of str to mapping
-        Values of parameters by name, by the full name of the node.
     notes : tuple of str
         What is wrong with the files, in words.
     """
 
     paths: tuple[Path, ...]
     told: tuple[Told, ...]
-    fleet_text: str | None = None
-    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
-def read_recording(
-    paths: Sequence[Path],
-    wants: Callable[[str, str], bool] = lambda topic, type_name: True,
-    progress: Callable[[int], object] = lambda read_bytes: None,
-) -> Recording:
-    """Read recordings that belong together.
+class RecordingReader:
+    """Reads recordings that belong together message by message, file by file, so that they need not fit into memory.
 
     Parameters
     ----------
     paths : sequence of Path
+        In any order.
     wants : callable
         Told a topic and its type; messages of others are not decoded.
     progress : callable
         Told the bytes read so far, of all files together.
 
-    Raises
-    ------
-    RecordingError
-        If a file cannot be read or is no MCAP file, or there are no messages that are wanted.
+    Attributes
+    ----------
+    fleet_text : str or None
+        The fleet file that was flown with; known at the end, as are the others.
+    parameters : mapping of str to mapping
+        Values of parameters by name, by the full name of the node.
+    notes : list of str
+        What is wrong with the files, in words.
     """
-    told: list[Told] = []
-    notes: list[str] = []
-    parameters: dict[str, dict[str, Any]] = {}
-    fleet_text: str | None = None
-    before = 0
-    for path in paths:
-        reader = _FileReader(path, wants, lambda read, before=before: progress(before + read))  # type: ignore[misc]
-        told += reader.told()
-        notes += reader.notes
-        parameters |= reader.parameters
-        fleet_text = reader.fleet_text or fleet_text
-        before += path.stat().st_size
-    if not told:
-        names = ", ".join(str(path) for path in paths)
-        raise RecordingError("; ".join([f"{names}: no message of a flight in it", *notes]))
-    # Times of one recorder, but of several threads of the DDS library.
-    told.sort(key=lambda item: item.heard_s)
-    return Recording(tuple(paths), tuple(told), fleet_text, parameters, tuple(notes))
+
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        wants: Callable[[str, str], bool],
+        progress: Callable[[int], object] = lambda read_bytes: None,
+    ) -> None:
+        self.paths = tuple(paths)
+        self.fleet_text: str | None = None
+        self.parameters: dict[str, dict[str, Any]] = {}
+        self.notes: list[str] = []
+        self._wants = wants
+        self._progress = progress
+
+    def __iter__(self) -> Iterator[Told]:
+        """Yield all messages that are wanted.
+
+        Raises
+        ------
+        RecordingError
+            If a file cannot be read or is no MCAP file, or there are no messages that are wanted.
+        """
+        before, count = 0, 0
+        files = [_FileReader(path, self._wants, self._progress) for path in self.paths]
+        for reader in sorted(files, key=_FileReader.began_ns) if len(files) > 1 else files:
+            for told in reader.told(before):
+                count += 1
+                yield told
+            self.notes += reader.notes
+            self.parameters |= reader.parameters
+            self.fleet_text = reader.fleet_text or self.fleet_text
+            before += reader.size
+        if not count:
+            names = ", ".join(str(path) for path in self.paths)
+            raise RecordingError("; ".join([f"{names}: no message of a flight in it", *self.notes]))
+
+
+def read_recording(paths: Sequence[Path], wants: Callable[[str, str], bool]) -> Recording:
+    """Read recordings that belong together as a whole; RecordingError as by `RecordingReader`."""
+    reader = RecordingReader(paths, wants)
+    # One file after the other, and within a file in the order in which the recorder looked at its topics.
+    told = sorted(reader, key=lambda item: item.heard_s)
+    return Recording(reader.paths, tuple(told), tuple(reader.notes))
 
 
 class _FileReader:
@@ -129,24 +150,41 @@ class _FileReader:
         self.parameters: dict[str, dict[str, Any]] = {}
         self.fleet_text: str | None = None
 
-    def told(self) -> list[Told]:
-        found: list[Told] = []
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return self._path.stat().st_size
+
+    def began_ns(self) -> int:
+        """When its first message was heard; 0 if it has none."""
+        with self._opened() as file, contextlib.suppress(*_DAMAGE):
+            for record in StreamReader(file).records:
+                if isinstance(record, Message):
+                    return record.log_time
+        return 0
+
+    def told(self, before: int) -> Iterator[Told]:
+        """Yield its messages; `before` is how many bytes other files had before it."""
+        with self._opened() as file:
+            for record in self._records(file):
+                if not isinstance(record, Message):
+                    self._note(record)
+                    continue
+                self._messages += 1
+                if self._messages % 1000 == 0:
+                    self._progress(before + file.tell())
+                if (message := self._decoded(record)) is not None:
+                    yield message
+
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[BinaryIO]:
         try:
             with self._path.open("rb") as file:
-                for record in self._records(file):
-                    if not isinstance(record, Message):
-                        self._note(record)
-                        continue
-                    self._messages += 1
-                    if self._messages % 1000 == 0:
-                        self._progress(file.tell())
-                    if (message := self._decoded(record)) is not None:
-                        found.append(message)
+                yield file
         except OSError as error:
             raise RecordingError(f"{self._path}: cannot be read: {error.strerror or error}") from None
-        return found
 
-    def _records(self, file: Any) -> Iterator[McapRecord]:
+    def _records(self, file: BinaryIO) -> Iterator[McapRecord]:
         try:
             yield from StreamReader(file, validate_crcs=True).records
         except EndOfFile:
