@@ -22,6 +22,7 @@ import numpy as np
 from jpap_ros.fleet.availability import FleetLife, FleetPolicy, Link, Order, Roster, Station, Vehicle
 from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.plan import PlanSettings, full_deployment, plan_change, plan_from_scratch, weigh, with_crew
+from jpap_ros.fleet.tower import Tower, Turn
 from jpap_ros.fleet.traffic import TrafficControl, Traveller
 from jpap_ros.fleet.transit_plan import TransitLimits
 from jpap_ros.planning.devices import Device
@@ -33,8 +34,8 @@ STEP_S = 0.5
 LIFE_EVERY = 2
 SIDE_M = 1200.0
 PADS_M = 25.0
-#: Height above home at which aircraft end their climb and begin their descent [m].
-HOME_HEIGHT_M = 30.0
+#: Height above its pad that an aircraft is told to climb to [m].
+TAKEOFF_HEIGHT_M = 10.0
 FLIGHT_TIME_S = 1500.0
 BATTERY_SWAP_S = 180.0
 #: The bridge takes a link for lost after this long without a heartbeat [s].
@@ -65,8 +66,9 @@ class Craft:
     place: tuple[float, float, float]
     battery: float
     phase: Phase = Phase.GROUND
+    #: Its turn to take off, or to come home and land.
+    turn: Turn | None = None
     homing: bool = False
-    launching: bool = False
     landed_at: float = -math.inf
     silent_until: float = -math.inf
     heard_at: float = 0.0
@@ -140,6 +142,7 @@ class World:
             f"uav{i + 1}": Craft(f"uav{i + 1}", pad, (*pad, 0.0), rng.uniform(0.6, 1.0)) for i, pad in enumerate(pads)
         }
         self.traffic = TrafficControl(LIMITS, waits_for_plans=True)
+        self.tower = Tower(self.traffic, TAKEOFF_HEIGHT_M, LIMITS.max_altitude_m)
         self.life = FleetLife(FleetPolicy(arrival_radius_m=2.0, station_above_m=LIMITS.planned_separation_m))
         self.plan: FleetPlan | None = None
         self.roster: Roster | None = None
@@ -188,6 +191,7 @@ class World:
             craft.pilot_until = self.now + 60.0
         else:
             craft.phase, craft.powers, craft.wanted = Phase.GONE, {}, {}
+            self._leave(craft)
 
     # --- the planner
 
@@ -230,9 +234,7 @@ class World:
         stations = {c.id: Station((*c.position, SETTINGS.link.altitude_m), len(c.device_ids)) for c in cells}
         self.roster = self.life.step(self.now, [self._vehicle(craft) for craft in self.fleet.values()], stations)
         for action in self.roster.actions:
-            craft = self.fleet[action.uav]
-            craft.launching = action.order is Order.LAUNCH and craft.phase is Phase.GROUND
-            craft.homing = action.order is Order.RETURN
+            self._order(self.fleet[action.uav], action.order)
         if self.plan is None:
             return False
         self.plan = with_crew(self.plan, self.roster.crew)
@@ -243,6 +245,14 @@ class World:
                 craft.wanted = powers[crew[craft.name]] if craft.name in crew else {}
         needed, usable = self.plan.uavs_needed, self.roster.usable
         return usable != self.planned_for and (needed > len(cells) or usable < len(cells))
+
+    def _order(self, craft: Craft, order: Order) -> None:
+        """Carry out an order as the bridge does; one that is under way is not begun again."""
+        pad = (*craft.home, 0.0)
+        if order is Order.LAUNCH and craft.phase is Phase.GROUND and craft.turn is None:
+            craft.turn = self.tower.departures({craft.name: pad})[craft.name]
+        elif order is Order.RETURN and craft.phase is Phase.FLY and not craft.homing:
+            craft.turn, craft.homing = self.tower.arrivals({craft.name: (craft.place, pad)})[craft.name], True
 
     def _vehicle(self, craft: Craft) -> Vehicle:
         return Vehicle(
@@ -266,7 +276,7 @@ class World:
                 continue
             if self.now >= craft.silent_until:
                 craft.heard_at = self.now
-            goal = (*craft.home, HOME_HEIGHT_M) if craft.homing else goals.get(craft.name)
+            goal = self.tower.waiting_place(craft.turn) if craft.homing and craft.turn else goals.get(craft.name)
             obeys = craft.obeys(self.now)
             travellers[craft.name] = Traveller(craft.place, obeys, craft.in_air, goal, craft.heard_at)
         self.traffic.step(self.now, travellers)
@@ -280,31 +290,37 @@ class World:
     def _fly(self, craft: Craft) -> None:
         here = craft.place
         east, north, up = here
-        column = np.array([[*craft.home, 0.0], [*craft.home, HOME_HEIGHT_M]])
         if craft.phase is Phase.GROUND:
             if craft.battery < 1 and self.now - craft.landed_at >= BATTERY_SWAP_S and craft.landed_at > -math.inf:
                 craft.battery = 1.0
-            climbing = [c.home for c in self.fleet.values() if c.phase is Phase.CLIMB]
-            close = any(math.dist(craft.home, home) < LIMITS.planned_separation_m for home in climbing)
-            if craft.launching and not close and not self.traffic.nearby(craft.name, column, self.now):
-                craft.phase, craft.launching = Phase.CLIMB, False
+            if craft.turn and self.tower.may_climb(craft.turn, self.now) is None:
+                craft.phase = Phase.CLIMB
         elif craft.phase is Phase.CLIMB:
-            craft.place = east, north, min(up + LIMITS.vertical_speed_m_s * STEP_S, HOME_HEIGHT_M)
-            if craft.place[2] == HOME_HEIGHT_M:
+            top_m = self.tower.climb_m(craft.turn)
+            craft.place = east, north, min(up + LIMITS.vertical_speed_m_s * STEP_S, top_m)
+            if craft.place[2] == top_m:
                 craft.phase = Phase.FLY
+                self._leave(craft)
         elif craft.phase is Phase.DESCEND:
             craft.place = east, north, max(up - LIMITS.vertical_speed_m_s * STEP_S, 0.0)
             if craft.place[2] == 0.0:
                 craft.phase, craft.homing, craft.landed_at = Phase.GROUND, False, self.now
+                self._leave(craft)
         elif craft.follows(self.now):
             setpoint = self.traffic.setpoint(craft.name, self.now)
             craft.place = here if setpoint is None else setpoint.position
-            above_home = math.dist(craft.place, (*craft.home, HOME_HEIGHT_M)) < 0.1
-            if craft.homing and above_home and not self.traffic.nearby(craft.name, column, self.now):
+            place = self.tower.waiting_place(craft.turn) if craft.homing else None
+            there = place is not None and math.dist(craft.place, place) < 0.1
+            if there and self.tower.may_land(craft.turn, craft.place, self.now) is None:
                 craft.phase = Phase.DESCEND
         if craft.in_air:
             craft.battery = max(craft.battery - STEP_S / FLIGHT_TIME_S, 0.0)
             craft.flown_m += math.dist(here, craft.place)
+
+    def _leave(self, craft: Craft) -> None:
+        if craft.turn is not None:
+            self.tower.leave(craft.turn)
+            craft.turn = None
 
     # --- what is measured
 

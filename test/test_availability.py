@@ -141,9 +141,9 @@ def test_one_that_does_not_obey_is_an_obstacle_at_once_and_loses_its_cell_after_
     roster = life.step(5.0, fleet, {1: Station(HERE)})
     assert roster.crew == {1: "b"}
     assert orders(roster) == {"b": Order.LAUNCH}
-    # It comes back: no obstacle any more, and free.
+    # It comes back: no obstacle any more, and over its cell, where the other one is not yet.
     roster = life.step(6.0, [flying("a"), flying("b", THERE)], {1: Station(HERE)})
-    assert (roster.obstacles, roster.crew, roster.usable) == ((), {1: "b"}, 2)
+    assert (roster.obstacles, roster.crew, roster.usable) == ((), {1: "a"}, 2)
 
 
 def test_a_short_silence_changes_nothing():
@@ -275,3 +275,28 @@ def test_aircraft_without_a_duty_are_told_of_too_when_they_go_and_come_back():
         "b is back",
         "c is back",
     )
+
+
+@pytest.mark.parametrize(("heir_at", "taken_back"), [(400.0, True), (15.0, False)])
+def test_one_that_is_back_gets_its_cell_again_unless_its_heir_is_there(heir_at, taken_back):
+    life = FleetLife(POLICY, crew={1: "a"})
+    fleet = [flying("a"), flying("b", (900.0, 0.0, 50.0))]
+    life.step(0.0, fleet, {1: Station(HERE)})
+    fleet[0] = replace(fleet[0], link=Link.LOST)
+    life.step(1.0, fleet, {1: Station(HERE)})
+    assert life.step(1.0 + POLICY.lost_after_s, fleet, {1: Station(HERE)}).crew == {1: "b"}
+    # a has hovered over its cell all the time.
+    fleet = [flying("a"), flying("b", (heir_at, 0.0, 50.0))]
+    roster = life.step(9.0, fleet, {1: Station(HERE)})
+    assert roster.crew == {1: "a" if taken_back else "b"}
+    assert ("a takes cell 1 back" in roster.events) == taken_back
+
+
+def test_a_tired_one_that_is_back_serves_until_its_heir_relieves_it():
+    life = FleetLife(POLICY, crew={1: "a"})
+    fleet = [flying("a", battery=0.28), flying("b", (900.0, 0.0, 50.0))]
+    life.step(0.0, [replace(fleet[0], yielded=True), fleet[1]], {1: Station(HERE)})
+    given = life.step(POLICY.lost_after_s, [replace(fleet[0], yielded=True), fleet[1]], {1: Station(HERE)})
+    assert given.crew == {1: "b"}
+    roster = life.step(9.0, fleet, {1: Station(HERE)})
+    assert (roster.crew, roster.reliefs) == ({1: "a"}, {1: "b"})

@@ -10,6 +10,9 @@ from enum import Enum
 from jpap_ros.fleet.assignment import OBJECTIVES, assign
 from jpap_ros.fleet.transit_plan import Obstacle
 
+#: One that is back must be nearer to its former cell than its heir by so much [m].
+_NEARER_M = 20.0
+
 
 class Link(Enum):
     """Whether a vehicle is heard."""
@@ -202,7 +205,8 @@ class FleetLife:
     Notes
     -----
     A cell keeps its aircraft as long as that one can fly. It loses it when the aircraft has been silent or taken over
-    for `lost_after_s`, has landed, or is at its critical battery. A tired aircraft (low battery) stays until its
+    for `lost_after_s`, has landed, or is at its critical battery; it gets it back when it obeys again before its heir
+    is there. A tired aircraft (low battery) stays until its
     relief waits above it; then the two change roles in one step, and the tired one goes home.
     """
 
@@ -213,6 +217,7 @@ class FleetLife:
         self._reliefs: dict[int, str] = {}
         self._away_since: dict[str, float] = {}
         self._given_up: set[str] = set()
+        self._left: dict[str, int] = {}
         self._idle_since: dict[str, float] = {}
         self._ordered: dict[str, tuple[Order, float]] = {}
         self._grounded_since: dict[str, float] = {}
@@ -241,6 +246,7 @@ class FleetLife:
         fleet = {vehicle.name: vehicle for vehicle in vehicles}
         self._observe(now_s, fleet)
         self._dismiss(now_s, fleet, stations)
+        self._take_back(fleet, stations)
         self._hand_over(fleet, stations)
         free = [vehicle for vehicle in vehicles if self._is_free(now_s, vehicle)]
         self._fill(free, stations)
@@ -315,6 +321,8 @@ class FleetLife:
             for cell, name in list(duty.items()):
                 if reason := self._unfit(now_s, fleet.get(name), name):
                     self._events.append(f"{name} {reason}")
+                    if duty is self._crew and name in self._given_up:
+                        self._left[name] = cell
                 if reason or cell not in stations:
                     del duty[cell]
         for cell in [cell for cell in self._reliefs if cell not in self._crew]:
@@ -340,6 +348,24 @@ class FleetLife:
             self._barred_until[name] = now_s + self.policy.launch_timeout_s
             return "has not taken off"
         return ""
+
+    def _take_back(self, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> None:
+        """Give one that is back the cell that it had lost, if whoever got that is not there yet."""
+        for name, cell in list(self._left.items()):
+            vehicle = fleet.get(name)
+            landed = vehicle is not None and vehicle.link is Link.CONNECTED and not vehicle.in_air
+            if vehicle is None or landed or cell not in stations:
+                del self._left[name]
+            elif _obeys(vehicle) and not vehicle.busy:
+                del self._left[name]
+                place, heir = stations[cell].position, self._crew.get(cell)
+                nearer = _distance(vehicle, place) < _distance(fleet.get(heir or ""), place) - _NEARER_M
+                on_duty = name in (*self._crew.values(), *self._reliefs.values())
+                if nearer and not on_duty and not self._is_critical(vehicle):
+                    self._events.append(f"{name} takes cell {cell} back")
+                    self._crew[cell] = name
+                    if heir is not None and name in self._tired:
+                        self._reliefs[cell] = heir
 
     def _hand_over(self, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> None:
         """Change the roles of a tired aircraft and its relief once that one is in place."""
@@ -432,6 +458,11 @@ class FleetLife:
 
     def _is_critical(self, vehicle: Vehicle) -> bool:
         return vehicle.battery <= self.policy.critical_battery or vehicle.charge is Charge.CRITICAL
+
+
+def _distance(vehicle: Vehicle | None, place: tuple[float, float, float]) -> float:
+    """How far an aircraft is from a place [m]; infinite where there is none."""
+    return math.inf if vehicle is None or vehicle.position is None else math.dist(vehicle.position, place)
 
 
 def _obeys(vehicle: Vehicle) -> bool:
