@@ -406,11 +406,14 @@ class FleetController:
 
     def _adapt(self, now: float) -> None:
         """Fit the telemetry of each link to what is measured on it."""
+        served_on: dict[Link, list[Aircraft]] = {link: [] for link in self._rates}
+        for member in self._members.values():
+            if member.route is not None:
+                served_on[member.route[0]].append(member.aircraft)
         reports = dict(zip(self._hub.links, self._link_reports, strict=True))
-        for link, rates in self._rates.items():
-            report = reports[link]
+        for link, served in served_on.items():
+            report, rates = reports[link], self._rates[link]
             bytes_per_s = report.received_bytes_per_s + report.sent_bytes_per_s
-            served = [m.aircraft for m in self._members.values() if m.route is not None and m.route[0] is link]
             autopilots = [aircraft.autopilot for aircraft in served if aircraft.autopilot is not None]
             changed = rates.adapt(bytes_per_s, report.loss, autopilots, now)
             for aircraft in served:
@@ -499,7 +502,7 @@ class FleetController:
     def _send(self, name: str, message: Any) -> bool:
         member = self._members[name]
         route = member.route
-        if message.get_msgId() in GAPLESS:
+        if len(member.links) > 1 and message.get_msgId() in GAPLESS:
             for link, peer in member.sightings.stand_ins(time.monotonic()):
                 self._hub.send(link, message, peer)
         return route is not None and self._hub.send(route[0], message, route[1])
