@@ -13,7 +13,7 @@ directions, hence maximised in closed form:
 
 The paper's cases are the same code here: where d_sv < H the rate is concave and the climb settles most of the region;
 where d_sv >= H the branch and bound is what its exhaustive search of the outer region stands for. Two devices, more
-than half of all cells at the paper's density, have their optimum in closed form (`_Cell.best_of_two`).
+than half of all placements at the paper's density, have their optimum in closed form (`_Cell.best_of_two`).
 
 The best position lies in the bounding box of the devices: moved to the nearest point of their convex hull, a UAV
 comes closer to every one of them.
@@ -142,8 +142,8 @@ class _Cell:
 
     def best(self) -> tuple[float, float]:
         """The best position."""
-        if len(self.devices) == 2 and (place := self.best_of_two()) is not None:
-            return place
+        if len(self.devices) == 2 and (found := self.best_of_two()) is not None:
+            return found
         return self.improve(*self.climb(*self.feasible))
 
     def nearest(self, x: float, y: float) -> tuple[float, float]:
