@@ -216,7 +216,8 @@ class CommandChannel:
 
     def _insist(self, exchange: _Exchange, now: float) -> None:
         """Repeat what must not be done twice if it was certainly not done; else wait for a sign, or give up."""
-        done = exchange.done(exchange.sent_at) if exchange.done and now - exchange.began < PROMPT_S else True
+        late = now - exchange.began >= PROMPT_S
+        done = exchange.done(exchange.sent_at) if exchange.done is not None and not late else True
         if done:
             self.unanswered_in_row += 1
             self._end(exchange, Outcome(False, None, f"{exchange.command.words}: no answer"))
