@@ -88,11 +88,10 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 def test_csv_round_trip_is_what_solve_says(tmp_path: Path) -> None:
     # Oracle: solve() called with the numbers that went into the file.
     out = tmp_path / "made" / "plan.csv"
-    result = run(metres_csv(tmp_path / "devices.csv"), "--output", out)
+    result = run(metres_csv(tmp_path / "devices.csv"), "--scheme", "jpap", "--output", out)
     assert (result.returncode, result.stderr) == (0, "")
-    expected = solve(POSITIONS, RATES, "optimal", weights=WEIGHTS, time_limit_s=10.0)
+    expected = solve(POSITIONS, RATES, "jpap", weights=WEIGHTS)
     assert f"{proof_line(expected)}; 14 of 14 devices served" in result.stdout
-    assert "proven minimum" in result.stdout
     assert result.stdout.endswith(f"{out}\n")
     rows = rows_of(out)
     assert [row["id"] for row in rows] == IDS
@@ -102,6 +101,17 @@ def test_csv_round_trip_is_what_solve_says(tmp_path: Path) -> None:
     assert [float(row["power_w"]) for row in rows] == expected.power_w.tolist()
     assert [float(row["rate"]) for row in rows] == expected.rate.tolist()
     assert "latitude" not in rows[0], "nothing says where on the earth the metres are"
+
+
+def test_by_default_the_fleet_is_proven_to_be_the_smallest(tmp_path: Path) -> None:
+    # Oracle: solve(); its UAVs may be numbered otherwise from run to run, and its rate is known to 1e-3 bit/s/Hz.
+    out = tmp_path / "plan.csv"
+    result = run(metres_csv(tmp_path / "devices.csv"), "--output", out)
+    assert (result.returncode, result.stderr) == (0, "")
+    expected = solve(POSITIONS, RATES, "optimal", weights=WEIGHTS)
+    assert f"{len(expected.uav_positions)} UAVs, proven minimum; 14 of 14 devices served" in result.stdout
+    rates = [float(row["rate"]) for row in rows_of(out)]
+    assert sum(rates) / len(expected.uav_positions) == pytest.approx(expected.average_uav_rate, abs=2e-3)
 
 
 def test_every_format_of_a_geodetic_plan(tmp_path: Path) -> None:
@@ -116,12 +126,12 @@ def test_every_format_of_a_geodetic_plan(tmp_path: Path) -> None:
     )
     devices = degrees_geojson(tmp_path / "devices.geojson")
     outputs = [tmp_path / f"plan.{suffix}" for suffix in ("geojson", "kml", "plan", "csv", "png", "svg")]
-    result = run(devices, "--fleet", fleet, "--altitude", 60, "--output", *outputs)
+    result = run(devices, "--fleet", fleet, "--altitude", 60, "--scheme", "jpap", "--output", *outputs)
     assert (result.returncode, result.stderr) == (0, "")
     geojson, kml, plan, table, png, svg = outputs
 
     # The origin is the fleet's, so solve() in its metres gives the same plan to the micrometre of the conversion.
-    expected = solve(POSITIONS, RATES, "optimal", LinkBudget(altitude_m=60.0), weights=WEIGHTS, max_uavs=12)
+    expected = solve(POSITIONS, RATES, "jpap", LinkBudget(altitude_m=60.0), weights=WEIGHTS, max_uavs=12)
     data = json.loads(geojson.read_text())
     jsonschema.validate(data, SCHEMA)
     kinds = [feature["properties"]["kind"] for feature in data["features"]]
@@ -158,7 +168,7 @@ def test_every_format_of_a_geodetic_plan(tmp_path: Path) -> None:
     pixels = imread(png)
     assert min(pixels.shape[:2]) > 600
     assert pixels.std() > 0.05, "something is drawn"
-    assert "proven minimum" in "".join(ElementTree.parse(svg).getroot().itertext())
+    assert proof_line(expected) in "".join(ElementTree.parse(svg).getroot().itertext())
 
 
 def test_a_fleet_too_small_says_who_is_left_out(tmp_path: Path) -> None:
@@ -184,7 +194,7 @@ def test_comparison_has_every_scheme_as_solve_says(tmp_path: Path) -> None:
     for row in rows:
         expected = solve(POSITIONS, RATES, row["scheme"], weights=WEIGHTS)
         assert int(row["uavs"]) == len(expected.uav_positions)
-        assert float(row["average_uav_rate"]) == pytest.approx(expected.average_uav_rate)
+        assert float(row["average_uav_rate"]) == pytest.approx(expected.average_uav_rate, abs=2e-3)
         assert row["scheme"] in result.stdout
     best = min(int(row["uavs"]) for row in rows)
     assert f"at least {best} UAVs" in result.stdout
