@@ -31,6 +31,12 @@ _CHARGE_STATE_CRITICAL = 3
 _AIRBORNE = (VehicleState.LANDED_IN_AIR, VehicleState.LANDED_TAKEOFF, VehicleState.LANDED_LANDING)
 
 
+def is_in_air(state: VehicleState) -> bool:
+    """Whether an aircraft is in the air; where it has not said so yet, after a start of the bridge, if it is armed."""
+    unknown = state.landed_state == VehicleState.LANDED_UNDEFINED
+    return state.armed if unknown else state.landed_state in _AIRBORNE
+
+
 def devices_of(message: DeviceUpdate) -> list[Device]:
     """Devices of a report in metres."""
     return [Device(d.id, (d.position.x, d.position.y), d.rate_demand, d.weight) for d in message.devices]
@@ -64,7 +70,7 @@ def aircraft_of(config: UavConfig, state: VehicleState | None, goal: FleetCell |
         config.name,
         position,
         connected=state.link == VehicleState.LINK_CONNECTED,
-        airborne=state.landed_state in _AIRBORNE,
+        airborne=is_in_air(state),
         unavailable=why_unavailable(state),
     )
 

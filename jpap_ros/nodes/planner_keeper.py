@@ -25,12 +25,12 @@ from jpap_ros.fleet.availability import (
 )
 from jpap_ros.fleet.cells import FleetPlan
 from jpap_ros.nodes.parameters import StartError
+from jpap_ros.nodes.planner_conversions import is_in_air
 from jpap_ros.planning.devices import Device
 
 _SERVICES = {Order.LAUNCH: "bridge/launch", Order.RETURN: "bridge/return_home"}
 
 _CHARGE_LOW, _CHARGE_CRITICAL = 2, 3
-_IN_AIR = (VehicleState.LANDED_IN_AIR, VehicleState.LANDED_TAKEOFF, VehicleState.LANDED_LANDING)
 _BUSY = (VehicleState.LANDED_TAKEOFF, VehicleState.LANDED_LANDING)
 
 
@@ -114,7 +114,7 @@ def vehicle_of(name: str, state: VehicleState | None, sent_home: bool) -> Vehicl
     """
     if state is None:
         return Vehicle(name)
-    in_air = state.landed_state in _IN_AIR
+    in_air = is_in_air(state)
     yielded = state.goal_state == VehicleState.GOAL_YIELDED
     position = state.position
     return Vehicle(
