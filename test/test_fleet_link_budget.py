@@ -86,3 +86,11 @@ def test_rates_fall_under_load_and_rise_again(rig: Rig) -> None:
         assert all(rate_hz(v, POSITION) >= 0.99 * WANTED[POSITION].min_rate_hz for v in sim)
     until(lambda: all(rate_hz(v, POSITION) == pytest.approx(wanted_hz, rel=0.1) for v in sim), "telemetry is back")
     until(lambda: rate_hz(sim["p"], ATTITUDE) > 0.0, "and what nobody asked for")
+
+
+def test_a_budget_that_cannot_do_is_told_before_anybody_is_heard(rig: Rig) -> None:
+    """Oracle: two targets (65 bytes) and two heartbeats (21 bytes) a second are 172 byte/s."""
+    fleet = rig.mixed(a={"autopilot": "ardupilot", "max_bytes_per_s": 150.0})
+    rig.control(fleet)
+    told = rig.watch.until("a", lambda s: bool(s.problems))
+    assert "carries 150 byte/s, too little" in told.problems[0] and "lower setpoint_rate_hz" in told.problems[0]

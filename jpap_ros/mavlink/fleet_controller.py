@@ -408,8 +408,7 @@ class FleetController:
         """Fit the telemetry of each link to what is measured on it."""
         served_on: dict[Link, list[Aircraft]] = {link: [] for link in self._rates}
         for member in self._members.values():
-            if member.route is not None:
-                served_on[member.route[0]].append(member.aircraft)
+            served_on[member.links[0] if member.route is None else member.route[0]].append(member.aircraft)
         reports = dict(zip(self._hub.links, self._link_reports, strict=True))
         for link, served in served_on.items():
             report, rates = reports[link], self._rates[link]
