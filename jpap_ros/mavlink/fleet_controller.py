@@ -43,10 +43,10 @@ TICK_HZ = 10.0
 STATUSTEXT_BYTES = 50
 #: Messages taken in before a look at what is due.
 PACKETS_AT_ONCE = 50
+#: Goals of one plan come one after another: what follows within so long is planned for together, up to a limit [s].
+GATHER_S, GATHER_MOST_S = 0.003, 0.03
 #: What goes over all links of a vehicle while the one in use is doubtful: a gap would end PX4's OFFBOARD.
 GAPLESS = frozenset({mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT})
-#: Goals of one plan come one after another: what follows within so long is planned for together, up to a limit [s].
-GATHER_S, GATHER_MOST_S = 0.005, 0.03
 #: How long an orderly stop waits for PX4 to answer the switch to Hold [s].
 PARTING_S = 2.0
 
@@ -290,7 +290,9 @@ class FleetController:
 
     def _call(self, function: Callable[[float], None]) -> None:
         self._calls.append(function)
-        self._hub.wake()
+        # Where others wait, the thread has been woken and takes this one with them.
+        if len(self._calls) == 1:
+            self._hub.wake()
 
     def _change(self, member: _Member, change: Callable[[], None], now: float) -> None:
         before = member.aircraft.goal

@@ -222,7 +222,9 @@ class BridgeNode(Node):
     def _on_snapshot(self, snapshot: AircraftSnapshot) -> None:
         """On the controller's thread."""
         self._fresh[snapshot.name] = snapshot
-        self._wake.trigger()
+        # Where others wait, the executor has been woken and takes this one with them.
+        if len(self._fresh) == 1:
+            self._wake.trigger()
 
     def _on_wake(self) -> None:
         if self._controller is not None and self._controller.failure is not None:
