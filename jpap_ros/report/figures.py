@@ -65,7 +65,7 @@ def _picture(height_in: float, columns: int = 1) -> Iterator[tuple[Figure, list[
 
 def _svg(figure: Figure) -> str:
     text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None}, dpi=110)
+    figure.savefig(text, format="svg", metadata={"Date": None}, dpi=110, bbox_inches="tight")
     return text.getvalue()
 
 

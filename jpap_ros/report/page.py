@@ -143,7 +143,7 @@ class _Clock:
 
     def __call__(self, at_s: float) -> Markup:
         day = time.strftime("%H:%M:%S", time.gmtime(self._began_s + at_s))
-        return Markup('<span title="{} UTC">{}</span>').format(day, f"{at_s:.2f}")
+        return Markup('<span title="{} UTC">{}</span>').format(day, f"{at_s:.2f}" if at_s >= 0.0 else "before")
 
 
 def _cards(flight: Flight, found: Figures) -> list[dict[str, str]]:
