@@ -1,7 +1,7 @@
 """Moving targets that may be the last one: what an autopilot makes of it by itself leads no farther than was checked.
 
-After its last target, ArduPilot goes on with that target's velocity for GUID_TIMEOUT and rests there. Sent as it is,
-the velocity of an aircraft that slows down would carry it past the end of its leg, where nobody has looked for others.
+After its last target, ArduPilot goes on with that target's velocity for GUID_TIMEOUT, and then has to brake. Sent as it
+is, the velocity would carry an aircraft past the end of its leg, where nobody has looked for others.
 https://ardupilot.org/dev/docs/copter-commands-in-guided-mode.html
 """
 
@@ -24,7 +24,7 @@ def coasting(setpoint: Setpoint, keeps_s: float) -> Setpoint:
     ----------
     setpoint : Setpoint
     keeps_s : float
-        How long the autopilot goes on with the velocity of the last target; more than 1 / POSITION_GAIN [s].
+        For how long at the last target's velocity it runs on, braking included; more than 1 / POSITION_GAIN [s].
 
     Notes
     -----

@@ -41,8 +41,8 @@ class ArduPilot(Autopilot):
     land_mode = "LAND"
     stream_lead_s = 0.0
     min_stream_hz = 0.0
-    #: GUID_TIMEOUT, its default.
-    keeps_velocity_s = 3.0
+    # GUID_TIMEOUT, its default, and v / 2a to brake from 8 m/s at WPNAV_ACCEL, 2.5 m/s^2.
+    keeps_velocity_s = 3.0 + 1.6
     unasked_hz: ClassVar[Mapping[int, float]] = {}
 
     def set_mode(self, mode: str) -> Command:

@@ -104,7 +104,7 @@ class Autopilot(ABC):
     stream_lead_s: ClassVar[float]
     #: Least rate of position targets while the goal mode is active [Hz].
     min_stream_hz: ClassVar[float]
-    #: How long it goes on with the velocity of the last target [s].
+    #: For how long at the last target's velocity an aircraft runs on when no more come, braking included [s].
     keeps_velocity_s: ClassVar[float]
     #: What it sends though nobody asked and the bridge does not need it, by message id [Hz].
     unasked_hz: ClassVar[Mapping[int, float]]

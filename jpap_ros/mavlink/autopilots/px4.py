@@ -59,8 +59,8 @@ class Px4(Autopilot):
     land_mode = "AUTO.LAND"
     stream_lead_s = 1.5
     min_stream_hz = 5.0
-    #: COM_OF_LOSS_T, its default, and about as long for Hold to brake.
-    keeps_velocity_s = 2.0
+    # COM_OF_LOSS_T, its default, and v / 2a for Hold to brake from 8 m/s at MPC_ACC_HOR, 3 m/s^2.
+    keeps_velocity_s = 1.0 + 1.3
     # MAVLINK_MODE_NORMAL of mavlink_main.cpp from 1 Hz on, without what the bridge asks for.
     unasked_hz: ClassVar[Mapping[int, float]] = {
         mavlink.MAVLINK_MSG_ID_ATTITUDE: 15.0,
