@@ -9,8 +9,14 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
+import signal
 import socket
+import subprocess
+import sys
 import threading
+import time
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +26,7 @@ import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-from graph import Graph, NodeProcess
+from graph import PATIENCE_S, Graph, NodeProcess
 from jpap_msgs.msg import (
     Cell,
     Deployment,
@@ -276,6 +282,36 @@ def test_a_wrong_parameter_stops_the_start_in_one_line(start_node, fleet_file, p
         assert node.wait() == 1
     lines = [line for line in node.output.splitlines() if line]
     assert len(lines) == 1 and lines[0].startswith("cannot start: ") and says in lines[0]
+
+
+def test_the_demo_serves_the_page_while_it_runs(ros_domain: int, own_ports: Iterator[int], tmp_path: Path) -> None:
+    port = next(own_ports)
+    command = [sys.executable, "-m", "jpap_ros.demo", "--dashboard", str(port), "--out", str(tmp_path)]
+    demo = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        assert demo.stdout is not None
+        told = next(line for line in demo.stdout if "dashboard" in line)
+        assert told == f"dashboard: http://127.0.0.1:{port}/\n"
+        deadline = time.monotonic() + PATIENCE_S
+        while b"jpap_ros dashboard" not in fetched(port):
+            assert time.monotonic() < deadline and demo.poll() is None
+            time.sleep(0.1)
+        demo.send_signal(signal.SIGINT)
+        assert demo.wait(PATIENCE_S) == 130
+        assert fetched(port) == b""
+    finally:
+        if demo.poll() is None:
+            os.killpg(demo.pid, signal.SIGKILL)
+        demo.wait()
+
+
+def fetched(port: int) -> bytes:
+    """What the server answers, or nothing while none listens."""
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=5) as answer:
+            return answer.read()
+    except OSError:
+        return b""
 
 
 def test_numbers_of_a_newer_bridge_read_as_unknown() -> None:

@@ -63,7 +63,7 @@ def texts(view: FleetView) -> list[str]:
         (15, 15, 14, False, "15 UAVs, at least 14 needed"),
         (1, 1, 1, True, "1 UAV, proven minimum"),
         (3, 3, None, False, "3 UAVs, no proof of the minimum"),
-        (5, 3, 4, False, "3 of 5 UAVs needed, at least 4 needed"),
+        (5, 3, 4, False, "3 of the 5 UAVs needed, at least 4"),
         (0, 0, 0, True, "no UAV needed"),
     ],
 )

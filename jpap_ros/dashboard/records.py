@@ -155,13 +155,12 @@ class Plan:
         """Say in words how many UAVs it takes, and what is proven about that."""
         if not self.needed:
             return "no UAV needed"
-        uavs = count(self.needed, "UAV")
-        flown = len(self.cells)
-        if flown < self.needed:
-            uavs = f"{flown} of {uavs} needed"
+        uavs, bound = count(self.needed, "UAV"), f"at least {self.bound} needed"
+        if len(self.cells) < self.needed:
+            uavs, bound = f"{len(self.cells)} of the {uavs} needed", f"at least {self.bound}"
         if self.proven:
             return f"{uavs}, proven minimum"
-        return f"{uavs}, at least {self.bound} needed" if self.bound is not None else f"{uavs}, no proof of the minimum"
+        return f"{uavs}, {bound}" if self.bound is not None else f"{uavs}, no proof of the minimum"
 
 
 @dataclass(frozen=True)

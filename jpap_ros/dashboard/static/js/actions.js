@@ -6,7 +6,7 @@ import { count, natural } from "./format.js";
 const WORDS = {
   launch: ["Launch", "They arm, take off and fly to the planner's goals. One in the air that was taken over is taken back."],
   hold: ["Hold", "They stay where they are until they are launched again."],
-  return_home: ["Return", "They fly home and land there by their autopilots' own return mode."],
+  return_home: ["Return", "They fly home and land there."],
   land: ["Land", "They land where they are now. Is the ground below them free?"],
   give_back: ["Give back", "Aircraft that a pilot, a ground station or a failsafe took over fly the planner's goals again. Has the pilot let go?"],
 };
@@ -44,6 +44,10 @@ export class Actions {
 
   async ask(action) {
     if (document.querySelector("dialog[open]")) return;
+    if (!this.connection.live) {
+      toast("No connection to the dashboard: nothing can be ordered.", false);
+      return;
+    }
     if (action === "replan") {
       const sure = await confirm({ title: "Replan now?", text: "The planner makes a plan for the devices and aircraft as they are. Aircraft may move.", yes: "Replan" });
       if (sure) this.#report("Replan", await this.connection.ask("replan"));
