@@ -9,8 +9,6 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from jpap_ros.planning.deployment import RELATIVE_TOLERANCE
 from jpap_ros.planning.link_budget import snr_demand
 from jpap_ros.planning.replanning_continuity import Continuity
@@ -267,4 +265,5 @@ def _same(kept: LiveCell, cell: LiveCell) -> bool:
     if kept.position != cell.position or sorted(kept.device_ids) != sorted(cell.device_ids):
         return False
     before = dict(zip(kept.device_ids, kept.power_w, strict=True))
-    return np.allclose([before[name] for name in cell.device_ids], cell.power_w, rtol=SAME_POWER, atol=0.0)
+    powers = zip(cell.device_ids, cell.power_w, strict=True)
+    return all(abs(before[name] - power) <= SAME_POWER * power for name, power in powers)
