@@ -220,6 +220,29 @@ def test_a_velocity_target_lasts_three_seconds() -> None:
     assert bench.vehicle.position == pytest.approx((0.0, 15.0, 20.0), abs=0.2)
 
 
+@pytest.mark.parametrize(("speedup", "metres"), [(1.0, 15.0), (4.0, 15.0), (10.0, 30.0)])
+def test_a_moving_target_moves_on_for_three_seconds_and_is_held_there(speedup: float, metres: float) -> None:
+    """Oracle: 5 m/s of the aircraft's own time for GUID_TIMEOUT, 3 s of it; at ten times the speed 0.6 s of the wall
+    clock, which are 6 s of its own.
+    """
+    bench = ardupilot_in_the_air()
+    bench.vehicle.speedup = speedup
+    message = bench.target(0.0, 0.0, 20.0, RELATIVE_INT, POSITION_ONLY & ~0b111000)
+    message.vy = 5.0 * speedup
+    bench.send(message)
+    bench.run(30.0)
+    assert bench.at(metres, 0.0, 20.0)
+
+
+def test_a_change_of_mode_is_told_at_once() -> None:
+    bench = ardupilot_in_the_air()
+    before = len(bench.heard)
+    bench.vehicle.pilot_takes("LOITER")
+    bench.run(0.02)
+    beats = [m.custom_mode for m in bench.heard[before:] if m.get_type() == "HEARTBEAT"]
+    assert beats[:1] == [ARDUPILOT_MODES["LOITER"]]
+
+
 def test_a_yaw_in_the_target_is_held() -> None:
     """Oracle: MAVLink yaw is clockwise from north; without one the aircraft looks where it flies (east: 90°)."""
     bench = ardupilot_in_the_air()

@@ -270,6 +270,18 @@ def test_a_velocity_in_offboard_is_flown_while_it_streams() -> None:
     assert bench.vehicle.position == pytest.approx((0.0, 45.0, 20.0), abs=2.0)
 
 
+def test_a_moving_target_is_overrun_by_what_the_position_controller_allows() -> None:
+    """Oracle: a standing target with velocity v is balanced by the error v / MPC_XY_P: 5 / 0.95 = 5.26 m."""
+    bench = px4_in_the_air(offboard_loss_s=60.0)
+    offboard(bench, bench.target(0.0, 0.0, GROUND + 20.0, GLOBAL_INT))
+    message = bench.target(0.0, 0.0, GROUND + 20.0, GLOBAL_INT, POSITION_ONLY & ~0b111000)
+    message.vy = 5.0
+    bench.send(message)
+    bench.run(30.0)
+    assert bench.vehicle.mode == "OFFBOARD"
+    assert bench.vehicle.position == pytest.approx((5.26, 0.0, 20.0), abs=0.01)
+
+
 # DO_REPOSITION
 
 
