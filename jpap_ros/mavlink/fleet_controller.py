@@ -477,12 +477,13 @@ class FleetController:
         before, member.route = member.route, member.sightings.route(now)
         if before is not None and member.route is not None and before[0] is not member.route[0]:
             member.aircraft.want_telemetry(self._rates[member.route[0]].rates_hz(member.aircraft.autopilot))
-        sharing = member.sightings.duplicates(now)
-        where = ", ".join(f"{peer} on {link}" for link, peer in sharing)
-        sysid = member.aircraft.config.sysid
-        member.aircraft.duplicates = (
-            f"sysid {sysid} is used by several vehicles ({where}): none is served; give each its own" if sharing else ""
-        )
+        member.aircraft.duplicates = ""
+        if sharing := member.sightings.duplicates(now):
+            where = ", ".join(f"{peer} on {link}" for link, peer in sharing)
+            sysid = member.aircraft.config.sysid
+            member.aircraft.duplicates = (
+                f"sysid {sysid} is used by several vehicles ({where}): none is served; give each its own"
+            )
 
     def _tick(self, member: _Member, now: float) -> None:
         self._reroute(member, now)

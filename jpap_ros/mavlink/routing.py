@@ -177,6 +177,8 @@ class Forwarder:
             yield from self._stations.routes(station, now)
 
     def _pass_on(self, packet: Packet, routes: list[Route]) -> None:
+        if not routes:
+            return
         frame = bytes(packet.message.get_msgbuf())
         urgent = packet.message.get_msgId() in URGENT_IDS
         here = packet.link.options.signer
