@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,8 @@ def commands(page: Path) -> Iterator[str]:
                 yield command
 
 
-COMMANDS = sorted({(page.name, command) for page in PAGES for command in commands(page)})
+#: With the first page of each: what stands on several pages is checked once.
+COMMANDS = sorted({command: page.name for page in reversed(PAGES) for command in commands(page)}.items())
 
 
 def rows(text: str, columns: int) -> list[list[str]]:
@@ -98,13 +100,16 @@ def run_plan(arguments: list[str], tmp_path: Path) -> None:
         assert (tmp_path / name).stat().st_size > 100
 
 
+@cache
+def demo_help() -> str:
+    command = [sys.executable, "-m", "jpap_ros.demo", "--help"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
 def check_demo(arguments: list[str]) -> None:
-    shown = subprocess.run(
-        [sys.executable, "-m", "jpap_ros.demo", "--help"], capture_output=True, text=True, check=True
-    )
     for argument in arguments:
         if argument.startswith("--"):
-            assert argument in shown.stdout
+            assert argument in demo_help()
     if "--scenario" in arguments:
         assert (ROOT / "config" / "scenarios" / f"{arguments[arguments.index('--scenario') + 1]}.yaml").exists()
 
@@ -181,9 +186,9 @@ ELSEWHERE = ("source", "colcon", "pip", "ssh", "(umask")
 
 
 @pytest.mark.parametrize(
-    ("page", "command"), COMMANDS, ids=lambda value: value if len(value) < 60 else value[:57] + "..."
+    ("command", "page"), COMMANDS, ids=lambda value: value if len(value) < 60 else value[:57] + "..."
 )
-def test_commands(page: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands(command: str, page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program, *arguments = shlex.split(command)
     if program in ELSEWHERE:
         subprocess.run(["bash", "-n", "-c", command], check=True)
@@ -219,7 +224,7 @@ def test_commands(page: str, command: str, tmp_path: Path, monkeypatch: pytest.M
 
 def test_commands_were_found() -> None:
     # Otherwise the tests above would pass by checking nothing.
-    found = {command.split()[0] for _, command in COMMANDS}
+    found = {command.split()[0] for command, _ in COMMANDS}
     assert {"scripts/plan", "scripts/demo", "ros2"} <= found
     assert len(COMMANDS) > 30
 
