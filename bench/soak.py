@@ -152,6 +152,10 @@ class World:
         self.closest = ""
         self.served_s: dict[str, float] = {}
         self.present_s: dict[str, float] = {}
+        #: Devices that were not served yet since they joined, moved or changed their demand, and for how long in all.
+        self.fresh: dict[str, Device] = {}
+        self.told: dict[str, Device] = {}
+        self.waiting_s = 0.0
         self.interrupted = 0
         self.uavs_s: list[int] = []
 
@@ -350,7 +354,12 @@ class World:
             if craft.powers != craft.wanted and len(would) >= len(fed):
                 craft.powers, fed = craft.wanted, would
             served |= fed
-        for name in self.devices:
+        for name, device in self.devices.items():
+            if self.told.get(name) is not device:
+                self.told[name] = self.fresh[name] = device
+            if name in served:
+                self.fresh.pop(name, None)
+            self.waiting_s += STEP_S * (name in self.fresh)
             self.present_s[name] = self.present_s.get(name, 0.0) + STEP_S
             self.served_s[name] = self.served_s.get(name, 0.0) + STEP_S * (name in served)
         self.uavs_s.append(sum(craft.in_air for craft in self.fleet.values()))
@@ -386,17 +395,21 @@ def live(name: str, options: argparse.Namespace, scratch: bool) -> float:
         if not warm and world.now >= options.warmup:
             warm = True
             world.served_s, world.present_s, world.latency_s, world.uavs_s, world.interrupted = {}, {}, [], [], 0
+            world.waiting_s = 0.0
             flown = sum(craft.flown_m for craft in world.fleet.values())
         world.step()
         steps += 1
     world.traffic.close()
     share = np.array([world.served_s[k] / world.present_s[k] for k in world.present_s if world.present_s[k] >= 60.0])
-    total = sum(world.served_s.values()) / sum(world.present_s.values())
+    present_s = sum(world.present_s.values())
+    total, waiting = sum(world.served_s.values()) / present_s, world.waiting_s / present_s
     metres = sum(craft.flown_m for craft in world.fleet.values()) - flown
     p50, p99 = (1e3 * np.quantile(world.latency_s, q) for q in (0.5, 0.99))
     gone = sum(craft.phase is Phase.GONE for craft in world.fleet.values())
     print(
-        f"{name}: {count} plans for events; guaranteed rate available {total:.2%} of all device time; per device"
+        f"{name}: {count} plans for events; guaranteed rate available {total:.2%} of all device time, {waiting:.2%}"
+        " waited for since a device joined, moved or changed its demand,"
+        f" {1 - total - waiting:.2%} lost after that; per device"
         f" (present for a minute or more, n={len(share)}): median {np.median(share):.2%}, p5"
         f" {np.quantile(share, 0.05):.2%}, least {share.min():.2%}; re-plan p50 {p50:.1f} ms, p99 {p99:.1f} ms;"
         f" {metres / max(count, 1):.0f} m flown and {world.interrupted / max(count, 1):.2f} interruptions an event;"
