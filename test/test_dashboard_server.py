@@ -295,8 +295,12 @@ def test_pages_beyond_the_cap_are_refused_politely() -> None:
         async with running(max_clients=2) as rig:
             pages = [(await rig.enter())[0] for _ in range(2)]
             third = await rig.knock()
+            await third.send_json({"type": "hello"})
             message = await third.receive(timeout=PATIENCE_S)
-            assert (message.data, message.extra) == (aiohttp.WSCloseCode.TRY_AGAIN_LATER, "2 pages are open already")
+            assert (message.data, message.extra) == (
+                aiohttp.WSCloseCode.TRY_AGAIN_LATER,
+                "2 pages are open already, the most allowed",
+            )
             await pages[0].close()
             _, snapshot = await rig.enter()
             assert snapshot["type"] == "snapshot"

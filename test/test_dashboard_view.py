@@ -209,6 +209,12 @@ def test_statuses_cannot_fill_memory() -> None:
 
 
 class TestEventLog:
+    def test_a_fleet_in_good_order_is_no_news_when_it_is_first_heard_of(self) -> None:
+        assert vehicle_lines("u", None, FLYING) == []
+        assert vehicle_lines("u", None, Vehicle("never seen")) == []
+        assert vehicle_lines("u", None, Vehicle("lost")) == [("error", "u: link lost")]
+        assert vehicle_lines("u", Vehicle("never seen"), FLYING)[0] == ("info", "u: link connected")
+
     def test_keeps_the_newest_and_cuts_what_is_long(self) -> None:
         log = EventLog(lambda: 7.0)
         for i in range(CAPACITY + 10):
@@ -283,7 +289,7 @@ class TestEventLog:
         view.set_vehicle("uav1", FLYING)
         view.set_vehicle("uav1", replace(FLYING, link="lost"))
         view.set_statuses([Status("/bridge", "uav1", ERROR, "link lost"), Status("/sim", "uav1", WARN, "no GPS")])
-        assert texts(view) == ["uav1: link connected", "uav1: link lost"]
+        assert texts(view) == ["uav1: link lost"]
 
 
 def test_the_inbox_keeps_order_and_of_poses_only_the_newest() -> None:

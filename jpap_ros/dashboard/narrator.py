@@ -19,9 +19,12 @@ Line = tuple[str, str]
 
 
 def vehicle_lines(name: str, before: Vehicle | None, now: Vehicle) -> list[Line]:
-    """Level and text for each change of an aircraft that an operator would want to look up later."""
+    """Level and text for each change of an aircraft that an operator would want to look up later.
+
+    Of an aircraft heard of for the first time only what is wrong with it is news.
+    """
     if before is None:
-        before = Vehicle("never seen")
+        before = Vehicle("connected" if now.link == "lost" else now.link)
     lines = []
     if before.link != now.link:
         lines.append((ERROR if now.link == "lost" else INFO, f"{name}: link {now.link}"))

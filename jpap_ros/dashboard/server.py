@@ -144,7 +144,6 @@ class DashboardServer:
         self._assets = load_assets()
         self._headers = _security_headers(settings.tile_url)
         self._clients: set[Client] = set()
-        self._open = 0
         self._under_way: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
         self._runner: web.AppRunner | None = None
@@ -152,7 +151,7 @@ class DashboardServer:
     @property
     def open_pages(self) -> int:
         """How many pages are connected; may be read from any thread."""
-        return self._open
+        return len(self._clients)
 
     @property
     def port(self) -> int:
@@ -235,16 +234,8 @@ class DashboardServer:
         if not socket.can_prepare(request):
             return web.Response(status=426, text="this address is for WebSockets\n", headers={"Upgrade": "websocket"})
         await socket.prepare(request)
-        if self._open >= self._settings.max_clients:
-            open_pages = count(self._open, "page")
-            await socket.close(code=WSCloseCode.TRY_AGAIN_LATER, message=f"{open_pages} are open already".encode())
-            return socket
-        self._open += 1
-        try:
-            if await self._admit(socket):
-                await self._attend(socket, request)
-        finally:
-            self._open -= 1
+        if await self._admit(socket):
+            await self._attend(socket, request)
         return socket
 
     async def _admit(self, socket: web.WebSocketResponse) -> bool:
@@ -266,6 +257,11 @@ class DashboardServer:
             if hello.token is not None:
                 await asyncio.sleep(_WRONG_TOKEN_PAUSE_S)
             await _close(socket, WRONG_TOKEN, "a token is needed" if hello.token is None else "wrong token")
+            return False
+        # Only now: who has no token must not take the place of who has.
+        if len(self._clients) >= self._settings.max_clients:
+            full = f"{count(len(self._clients), 'page')} are open already, the most allowed"
+            await _close(socket, WSCloseCode.TRY_AGAIN_LATER, full)
             return False
         return True
 
