@@ -11,8 +11,8 @@ from jpap_ros.report.motion import metres_by_plan
 _LINKS = ("never seen", "connected", "lost")
 _LANDED = ("landed state unknown", "on the ground", "in the air", "taking off", "landing")
 _GOALS = ("no goal", "goal sent", "goal accepted", "on its way", "goal reached", "goal refused", "taken over", "lost")
-#: Of a diagnostic status: OK, WARN, and ERROR or STALE.
-_LEVELS = ("ok", "warning", "error")
+#: Of a diagnostic status: OK, WARN, ERROR, STALE.
+_LEVELS = ("ok", "warning", "error", "warning")
 _LOG_ERROR = 40
 _GOAL_TROUBLE = (5, 6, 7)
 _LINK_LOST = 2
@@ -113,7 +113,7 @@ def _word(words: tuple[str, ...], value: int) -> str:
 
 def _diagnostics(flight: Flight) -> list[Event]:
     return [
-        Event(at_s, "diagnostic", name, message if level else f"all right again: {message}", _LEVELS[min(level, 2)])
+        Event(at_s, "diagnostic", name, message if level else f"all right again: {message}", _LEVELS[min(level, 3)])
         for at_s, name, level, message in flight.diagnostics
     ]
 
