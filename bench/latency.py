@@ -12,6 +12,7 @@ import argparse
 import os
 import selectors
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -258,6 +259,8 @@ def main() -> None:
     parser.add_argument("--joins", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
+    # The relay's thread must not wait for the interpreter while this one takes a plan in.
+    sys.setswitchinterval(5e-4)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     to_plan, to_goal, to_wire = measure(options.devices, options.uavs, options.joins, options.seed)
