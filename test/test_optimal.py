@@ -217,3 +217,11 @@ def test_maximal_sets_cover_as_well_as_all_sets():
     servability = Servability.of(problem_of(positions, rates))
     covered = np.unique(np.concatenate(maximal_sets(servability)[0]))
     np.testing.assert_array_equal(covered, np.arange(25))
+
+
+def test_cells_come_in_the_order_of_their_first_devices() -> None:
+    """Oracle: the definition; so the same cells have the same numbers however the search came to them."""
+    draw = np.random.default_rng(5)
+    found = solve(draw.uniform(0, 1500, (25, 2)), draw.uniform(15, 20, 25), "optimal")
+    first = [int(found.cell(uav).min()) for uav in range(len(found.uav_positions))]
+    assert len(first) > 5 and first == sorted(first)

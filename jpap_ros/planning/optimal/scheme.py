@@ -223,8 +223,11 @@ class _Solver:
 
     def _deploy(self, fleet: Fleet, partition: Partition) -> Deployment:
         problem = self.problem
+        # The search may end at the same cells in another order, depending on when it was interrupted.
+        order = np.argsort([cell.min() for cell in partition.cells])
+        cells, positions = [partition.cells[uav] for uav in order], partition.positions[order]
         power = np.zeros(len(problem.rates))
-        for cell, position in zip(partition.cells, partition.positions, strict=True):
+        for cell, position in zip(cells, positions, strict=True):
             shares, _ = share_power(self.servability, cell[None], position[None], self.power_eta)
             power[cell] = shares[0] * problem.link.transmit_power_w
         made = make_deployment(
@@ -232,8 +235,8 @@ class _Solver:
             problem.positions,
             problem.rates,
             problem.link,
-            partition.cells,
-            partition.positions,
+            cells,
+            positions,
             power,
             unserved={},
             uavs_needed=len(fleet.cells),
