@@ -76,12 +76,12 @@ class Run:
             sites = [Site(d["id"], *d["at_m"], d["demand"], d["weight"]) for d in options["devices"]]
         else:
             sites = self._source.draw(options["count"], options["demand"])
-        self._say(f"{len(sites)} devices join")
+        self._say("1 device joins" if len(sites) == 1 else f"{len(sites)} devices join")
         self._report(sites)
 
     def _leave(self, count: int = 0, ids: Iterable[str] = ()) -> None:
         gone = list(ids) or list(self.sites)[:count]
-        self._say(f"{len(gone)} devices leave")
+        self._say("1 device leaves" if len(gone) == 1 else f"{len(gone)} devices leave")
         for name in gone:
             if self.sites.pop(name, None) is None:
                 raise Failure(f"device {name!r} cannot leave: it is not there")
