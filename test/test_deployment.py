@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import pickle
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -41,6 +42,16 @@ def test_arrays_are_read_only(good: Deployment) -> None:
             getattr(good, name)[0] = 1
     with pytest.raises(TypeError):
         good.unserved[0] = "no"  # type: ignore[index]
+
+
+def test_a_pickled_copy_is_the_same_and_as_immutable(good: Deployment) -> None:
+    """Researchers send deployments between processes. Oracle: the original, field by field."""
+    copy = pickle.loads(pickle.dumps(replace(good, unserved={2: "why"})))
+    for field in fields(good):
+        if field.name != "unserved":
+            np.testing.assert_array_equal(getattr(copy, field.name), getattr(good, field.name))
+    assert dict(copy.unserved) == {2: "why"}
+    assert not copy.uav_positions.flags.writeable and not copy.power_w.flags.writeable
 
 
 def test_power_sum(good: Deployment) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 
@@ -48,13 +49,19 @@ def test_small_demands_lose_no_digits() -> None:
     assert LINK.rate(power, 0.0) == pytest.approx(r, rel=1e-12)
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, "40", None])
+@pytest.mark.parametrize("value", [math.nan, math.inf, "40", None, True, -1e5])
 def test_a_bad_value_is_named(value: object) -> None:
-    with pytest.raises(ValueError, match="noise_power_dbm"):
+    with pytest.raises(ValueError, match=rf"noise_power_dbm must be .*, got {value!r}"):
         LinkBudget(noise_power_dbm=value)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("altitude", [0.0, -5.0])
 def test_the_altitude_is_positive(altitude: float) -> None:
     with pytest.raises(ValueError, match=f"altitude_m must be > 0, got {altitude}"):
+        LinkBudget(altitude_m=altitude)
+
+
+@pytest.mark.parametrize("altitude", [1e-200, 1e200])
+def test_an_altitude_whose_square_is_no_number_is_named(altitude: float) -> None:
+    with pytest.raises(ValueError, match=f"altitude_m must be from .*, got {re.escape(repr(altitude))}"):
         LinkBudget(altitude_m=altitude)

@@ -16,6 +16,11 @@ GOOD = [[0.0, 0.0], [50.0, 0.0]]
     ("arguments", "message"),
     [
         ({"positions": [[0, 0], [math.nan, 0]], "rates": [15, 15]}, r"positions\[1, 0\] must be finite, got nan"),
+        (
+            {"positions": [[0, 0], [1, -2e9]], "rates": [15, 15]},
+            r"positions\[1, 1\] must be within 1e\+09 m .*, got -2000000000",
+        ),
+        ({"positions": [[0, 1j]], "rates": [15]}, "positions must be an array of numbers: complex"),
         ({"positions": [[0, 0, 0]], "rates": [15]}, r"positions must have shape \(K, 2\), got \(1, 3\)"),
         ({"positions": GOOD, "rates": [15]}, r"rates must have shape \(2,\) to match positions, got \(1,\)"),
         ({"positions": GOOD, "rates": [15, math.inf]}, r"rates\[1\] must be finite and > 0, got inf"),
@@ -24,6 +29,9 @@ GOOD = [[0.0, 0.0], [50.0, 0.0]]
         ({"positions": GOOD, "rates": ["a", 1]}, "rates must be an array of numbers"),
         ({"positions": GOOD, "rates": [15, 15], "weights": [1, 0]}, r"weights\[1\] must be finite and > 0, got 0.0"),
         ({"positions": GOOD, "rates": [15, 15], "scheme": "best"}, "scheme must be one of .*jpap.*, got 'best'"),
+        ({"positions": GOOD, "rates": [15, 15], "scheme": ["jpap"]}, r"scheme must be one of .*, got \['jpap'\]"),
+        ({"positions": GOOD, "rates": [15, 15], "seed": 1.5}, "seed must be a whole number, got 1.5"),
+        ({"positions": GOOD, "rates": [15, 15], "seed": -1}, "seed must be >= 0, got -1"),
         ({"positions": GOOD, "rates": [15, 15], "link": 40}, "link must be a LinkBudget, got 40"),
         ({"positions": GOOD, "rates": [15, 15], "max_devices_per_uav": 0}, "max_devices_per_uav must be >= 1, got 0"),
         ({"positions": GOOD, "rates": [15, 15], "max_uavs": 1.5}, "max_uavs must be a whole number or None, got 1.5"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 
 import numpy as np
@@ -82,6 +82,11 @@ class Deployment:
         if self.coverage_radius_m is not None:
             set_field(self, "coverage_radius_m", frozen(self.coverage_radius_m, np.float64, (count,)))
         set_field(self, "unserved", MappingProxyType(dict(self.unserved)))
+
+    def __reduce__(self) -> tuple[type[Deployment], tuple[object, ...]]:
+        # Copies are made by the constructor: a mapping proxy cannot be pickled, and arrays would come out writable.
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Deployment, tuple({**values, "unserved": dict(self.unserved)}.values())
 
     @property
     def average_uav_rate(self) -> float:

@@ -10,6 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
+#: Farthest from 0 that a level can be [dB, dBm], and range of heights [m]: beyond, double precision overflows.
+MAX_LEVEL_DB = 300.0
+MIN_ALTITUDE_M, MAX_ALTITUDE_M = 1e-6, 1e9
+
 
 @dataclass(frozen=True)
 class LinkBudget:
@@ -29,7 +33,7 @@ class LinkBudget:
     Raises
     ------
     ValueError
-        If a value is not finite, or the altitude is not positive.
+        If a value is not finite or beyond what can be computed with, or the altitude is not positive.
 
     Examples
     --------
@@ -46,10 +50,17 @@ class LinkBudget:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if not isinstance(value, (int, float, np.integer, np.floating)) or not math.isfinite(value):
+            number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+            if not number or not math.isfinite(value):
                 raise ValueError(f"{field.name} must be a finite number, got {value!r}")
+            if field.name != "altitude_m" and abs(value) > MAX_LEVEL_DB:
+                raise ValueError(f"{field.name} must be from -{MAX_LEVEL_DB:g} to {MAX_LEVEL_DB:g}, got {value!r}")
         if self.altitude_m <= 0:
             raise ValueError(f"altitude_m must be > 0, got {self.altitude_m!r}")
+        if not MIN_ALTITUDE_M <= self.altitude_m <= MAX_ALTITUDE_M:
+            raise ValueError(
+                f"altitude_m must be from {MIN_ALTITUDE_M:g} to {MAX_ALTITUDE_M:g}, got {self.altitude_m!r}"
+            )
 
     @property
     def transmit_power_w(self) -> float:

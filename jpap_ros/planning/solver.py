@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike
 from jpap_ros.planning.deployment import Deployment
 from jpap_ros.planning.link_budget import Floats, LinkBudget, snr_demand
 
+#: Farthest from the origin that a device can be [m], east and north each; squares of far greater ones overflow.
+MAX_COORDINATE_M = 1e9
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -83,6 +86,7 @@ def validate(
     if where.ndim != 2 or where.shape[1] != 2:
         raise ValueError(f"positions must have shape (K, 2), got {where.shape}")
     _require("positions", where, np.isfinite(where), "finite")
+    _require("positions", where, np.abs(where) <= MAX_COORDINATE_M, f"within {MAX_COORDINATE_M:g} m of the origin")
     count = len(where)
     demand = _vector("rates", rates, count)
     priority = np.ones(count) if weights is None else _vector("weights", weights, count)
@@ -95,11 +99,11 @@ def validate(
         rates=demand,
         weights=priority,
         link=link,
-        max_devices_per_uav=_whole("max_devices_per_uav", max_devices_per_uav, 1),
-        max_uavs=_whole("max_uavs", max_uavs, 0),
+        max_devices_per_uav=_limit("max_devices_per_uav", max_devices_per_uav, 1),
+        max_uavs=_limit("max_uavs", max_uavs, 0),
         min_separation_m=float(min_separation_m),
         deadline=time.monotonic() + (math.inf if time_limit_s is None else float(time_limit_s)),
-        seed=operator.index(seed),
+        seed=_whole("seed", seed, 0),
     )
 
 
@@ -161,7 +165,7 @@ def solve(
     from jpap_ros.planning.schemes import SCHEMES
 
     started = time.monotonic()
-    if scheme not in SCHEMES:
+    if not isinstance(scheme, str) or scheme not in SCHEMES:
         raise ValueError(f"scheme must be one of {', '.join(SCHEMES)}, got {scheme!r}")
     problem = validate(
         positions, rates, link, max_devices_per_uav, max_uavs, weights, min_separation_m, time_limit_s, seed
@@ -217,13 +221,15 @@ def _is_number(value: object) -> bool:
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
-def _whole(name: str, value: int | None, least: int) -> int | None:
-    if value is None:
-        return None
+def _limit(name: str, value: int | None, least: int) -> int | None:
+    return None if value is None else _whole(name, value, least, "a whole number or None")
+
+
+def _whole(name: str, value: int, least: int, what: str = "a whole number") -> int:
     try:
         number = operator.index(value)
     except TypeError:
-        raise ValueError(f"{name} must be a whole number or None, got {value!r}") from None
+        raise ValueError(f"{name} must be {what}, got {value!r}") from None
     if number < least:
         raise ValueError(f"{name} must be >= {least}, got {value!r}")
     return number
@@ -231,6 +237,8 @@ def _whole(name: str, value: int | None, least: int) -> int | None:
 
 def _float_array(name: str, value: ArrayLike) -> Floats:
     try:
+        if np.iscomplexobj(value):
+            raise TypeError("complex ones are not allowed")
         return np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be an array of numbers: {error}") from None
