@@ -251,6 +251,16 @@ def test_no_single_device_can_spoil_the_plan_for_the_others(scheme, extreme):
             assert {"d1", "d2"} <= served and served | plan.unserved.keys() == {"d0", "d1", "d2"}
 
 
+def test_devices_of_the_greatest_weights_stay_in_the_plan_when_their_aircraft_is_lost():
+    """Two weights whose sum is no number share a cell. Oracle: what all weights alike would give, by hand."""
+    devices = [Device("a", (0.0, 0.0), RATE, 1.7e308), Device("b", (10.0, 0.0), RATE, 1.7e308), spread(3)[2]]
+    fleet = [craft("x", 0, 0), craft("y", 4000, 0), craft("z", 9000, 0)]
+    before = plan_from_scratch(devices, PlanSettings(scheme=SCHEME), fleet)
+    assert who(before.cells) == {("a", "b"): "x", ("d2",): "y"}
+    after = plan_change(devices, PlanSettings(scheme=SCHEME), fleet[1:], before)
+    assert who(after.cells) == {("a", "b"): "z", ("d2",): "y"} and not after.unserved
+
+
 def fleet_plan(cells=(), needed=0, bound=None, proven=False):
     return FleetPlan(cells, LivePlan.empty(), {}, needed, bound, proven, SCHEME, math.nan, {}, True)
 

@@ -30,6 +30,9 @@ _QUICK_SCHEME = "jpap"
 #: and 2^r is still a number.
 _DEMAND_RANGE = (1e-6, 500.0)
 
+#: Weights count within these limits [-]: sums of far greater ones overflow.
+_WEIGHT_RANGE = (1e-9, 1e9)
+
 #: What a plan from scratch must gain while no aircraft is in the air: more than rounding.
 _GROUND_TOLERANCE = 0.01
 
@@ -70,12 +73,11 @@ class PlanSettings:
 
     def demands(self, devices: Sequence[Device]) -> Demands:
         """Return the devices with their demands in bit/s/Hz."""
-        lowest, highest = _DEMAND_RANGE
         return Demands.of(
             tuple(device.id for device in devices),
             np.array([device.position for device in devices], dtype=np.float64).reshape(-1, 2),
-            [min(max(device.rate_demand / self.bandwidth_hz, lowest), highest) for device in devices],
-            np.array([device.weight for device in devices], dtype=np.float64),
+            np.clip([device.rate_demand / self.bandwidth_hz for device in devices], *_DEMAND_RANGE),
+            np.clip([device.weight for device in devices], *_WEIGHT_RANGE),
         )
 
 
