@@ -48,14 +48,17 @@ class Watch:
         with self._changed:
             return self.history[name][-1]
 
-    def until(self, name: str, condition: Callable[[AircraftSnapshot], bool]) -> AircraftSnapshot:
+    def until(
+        self, name: str, condition: Callable[[AircraftSnapshot], bool], patience_s: float = PATIENCE_S
+    ) -> AircraftSnapshot:
         """Wait until an aircraft's newest snapshot satisfies a condition."""
         with self._changed:
             satisfied = self._changed.wait_for(
-                lambda: bool(self.history.get(name)) and condition(self.history[name][-1]), PATIENCE_S
+                lambda: bool(self.history.get(name)) and condition(self.history[name][-1]), patience_s
             )
             newest = self.history.get(name, [None])[-1]
-        assert satisfied, f"waited in vain; newest: {newest}"
+            others = {n: (s[-1].mode, s[-1].goal_state.name, s[-1].goal_reason) for n, s in self.history.items()}
+        assert satisfied, f"waited in vain; newest: {newest}; all: {others}"
         assert newest is not None
         return newest
 

@@ -77,6 +77,23 @@ class Cable:
                                 self._vehicle_end.sendto(data, vehicle)
 
 
+class Alone:
+    """Whether one cable carries eight targets while the other carries none."""
+
+    def __init__(self, used: Cable, rests: Cable) -> None:
+        self._used, self._rests = used, rests
+        self._began = self._counts()
+
+    def _counts(self) -> tuple[int, int]:
+        return self._used.to_vehicle[TARGET], self._rests.to_vehicle[TARGET]
+
+    def for_a_while(self) -> bool:
+        used, rests = self._counts()
+        if rests != self._began[1]:
+            self._began = used, rests
+        return used - self._began[0] >= 8
+
+
 @pytest.fixture
 def rig(free_ports: Callable[[int], list[int]]) -> Iterator[Rig]:
     with ExitStack() as stack:
@@ -131,9 +148,9 @@ def test_everything_goes_on_over_the_other_link(rig: Rig) -> None:
             until(
                 lambda cable=first, count=before: cable.to_vehicle[TARGET] > count + 5, "the first link is used again"
             )
-            rested, used = second.to_vehicle[TARGET], first.to_vehicle[TARGET]
             controller.set_goal(name, Goal(280.0, 10.0, 30.0, plan_id=2))
             rig.watch.until_goal(name, GoalState.REACHED, plan_id=2)
-            # A busy machine can make the first link look doubtful for a moment.
-            assert second.to_vehicle[TARGET] - rested < 0.3 * (first.to_vehicle[TARGET] - used), "the second one rests"
+            # A busy machine can make the first link look doubtful for a moment, but not for long.
+            alone = Alone(first, second)
+            until(alone.for_a_while, "the second one rests")
             assert len(commands(sim[name], ARM)) == len(commands(sim[name], TAKEOFF)) == 1
