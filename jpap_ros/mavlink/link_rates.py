@@ -23,9 +23,8 @@ _UNASKED_PRIORITY = 4
 class LinkRates:
     """Rates for one link, adjusted by integral control with a dead band.
 
-    The budget less what is measured beside the aircraft's own telemetry (ground stations, what an autopilot sends
-    unasked, frames shorter than they might be) is what telemetry may cost. Heartbeats and position targets are
-    counted, and never slowed.
+    The budget less what is measured beside the streams planned here (ground stations, other components, commands) is
+    what these may cost together. Heartbeats and position targets are among them, and never slowed.
 
     Parameters
     ----------
@@ -45,7 +44,7 @@ class LinkRates:
     def rates_hz(self, autopilot: Autopilot | None) -> dict[int, float]:
         """What to ask one aircraft for, by message id; 0 switches a message off.
 
-        A message that an autopilot sends unasked is among them where it must be slowed.
+        On a link with a budget what its autopilot sends unasked is among them.
         """
         unasked: Mapping[int, float] = {} if autopilot is None else autopilot.unasked_hz
         fitted = zip(self._streams, self._allocation.rates_hz, strict=True)
