@@ -8,6 +8,7 @@ are enough; distances worked out by hand.
 from __future__ import annotations
 
 import math
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from hypothesis import strategies as st
 
 from jpap_ros.fleet.assignment import assign
 from jpap_ros.fleet.separation_check import overrun_distance, polyline_distance, segment_distance
-from jpap_ros.fleet.transit import plan_transit
-from jpap_ros.fleet.transit_plan import Obstacle, TransitLimits, minimum_separation
+from jpap_ros.fleet.transit import is_clear, plan_straight, plan_transit
+from jpap_ros.fleet.transit_plan import Convoy, Obstacle, TransitLimits, TransitPlan, minimum_separation
 
 LIMITS = TransitLimits(min_separation_m=10.0, tracking_error_m=1.0)
 
@@ -170,6 +171,56 @@ def test_a_new_plan_on_the_way_stops_only_those_it_concerns(seed, share, changed
     for name in onward.names:
         goal = stopped[name] if name in onward.held else changed.get(name, plan.path(name)[-1])
         assert onward.position(name, 1e9) == pytest.approx(goal, abs=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), moving_count=st.integers(1, 12), share=st.floats(0.0, 1.0))
+def test_who_flies_straight_keeps_clear_of_all_others(seed, moving_count, share):
+    """Some rest, some are on their way, some are stopping; oracle: the closed form for all, which knows no groups."""
+    rng = np.random.default_rng(seed)
+    places = spaced(rng, 24, 250.0, 12.0)
+    rest = {f"uav{i}": places[i] for i in [*range(6, 12), *range(18, 24)]}
+    early = plan_transit(by_name(places[:6]) | rest, {f"uav{i}": places[12 + i] for i in range(6)}, LIMITS)
+    moment = share * early.duration_s
+    under_way = early.stop(moment, ["uav0", "uav1"])
+    stopping = [c for c in under_way.convoys if {"uav0", "uav1"} & set(c.names)]
+    committed = [c for c in under_way.convoys if c not in stopping and c.names[0] not in rest]
+    moving = list(rest)[:moving_count]
+    goals = dict(zip(moving, spaced(rng, moving_count, 250.0, 12.0), strict=True))
+    later = {name: places[12] for c in stopping for name in c.names[:1]}
+    plan = plan_straight(rest, goals | later, LIMITS, (), committed, stopping)
+    flown = {name for convoy in plan.convoys for name in convoy.names}
+    assert flown <= set(moving)
+    assert not flown & plan.waiting
+    for convoy in plan.convoys:
+        assert len(convoy.laws) == 1
+        for index, name in enumerate(convoy.names):
+            assert np.array_equal(convoy.waypoints[:, index], [rest[name], goals[name]])
+    resting = tuple(Convoy((name,), place[None, None], ()) for name, place in rest.items() if name not in flown)
+    everybody = TransitPlan((*plan.convoys, *resting, *committed, *stopping))
+    began = [everybody.path(name)[0] for name in everybody.names]
+    nearest = min(math.dist(a, b) for a, b in combinations(began, 2))
+    assert minimum_separation(everybody) >= min(LIMITS.min_separation_m, nearest) - 1e-6
+
+
+def test_who_crosses_one_that_is_stopping_waits_for_it():
+    # b stops on its way and then wants to go back along its line, which that of a crosses.
+    flying = plan_transit({"b": (0, 0, 50)}, {"b": (200, 0, 50)}, LIMITS).stop(20.0).convoys
+    starts, goals = {"a": (60, -80, 50), "c": (500, 0, 50)}, {"a": (60, 80, 50), "b": (0, 0, 50), "c": (500, 90, 50)}
+    plan = plan_straight(starts, goals, LIMITS, (), (), flying)
+    assert plan.waiting == {"a"}
+    assert [convoy.names for convoy in plan.convoys] == [("c",)]
+
+
+def test_a_convoy_is_compared_with_what_it_was_not_planned_for():
+    (convoy,) = plan_transit({"a": (0, 0, 50)}, {"a": (100, 0, 50)}, LIMITS).convoys
+    assert is_clear(convoy, {}, LIMITS, (), ())
+    assert is_clear(convoy, {"b": (50, 12.1, 50)}, LIMITS, (), ())
+    assert not is_clear(convoy, {"b": (50, 11.9, 50)}, LIMITS, (), ())
+    assert not is_clear(convoy, {}, LIMITS, [Obstacle("x", (50, 16, 60), radius_m=5.0)], ())
+    (across,) = plan_transit({"b": (50, -90, 50)}, {"b": (50, 90, 50)}, LIMITS).convoys
+    assert not is_clear(convoy, {}, LIMITS, (), [across])
+    assert is_clear(convoy, {}, LIMITS, (), [across.stop(10.0)])
 
 
 def test_a_column_up_to_the_ceiling_is_passed_at_its_side():
