@@ -18,6 +18,7 @@ import os
 import pstats
 import random
 import socket
+import sys
 import time
 from collections import defaultdict
 from concurrent.futures import wait
@@ -253,9 +254,10 @@ def serve(fleet: FleetConfig, traffic: bool, seconds: float, profile: bool, pipe
 
 def stream_by_mavsdk(fleet: FleetConfig, seconds: float, pipe: Connection) -> None:
     """Child: MAVSDK does the same for a few vehicles, through its API."""
-    # Its library tells every step of its own on the standard output.
+    # Its library tells every step on the standard error; what fails here is still told there.
+    sys.stderr = os.fdopen(os.dup(2), "w")
     with Path(os.devnull).open("w") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
+        os.dup2(nowhere.fileno(), 2)
     client = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
     (port,) = {uav.urls[0].port for uav in fleet.uavs}
     client.add_any_connection(f"udpin://127.0.0.1:{port}")
