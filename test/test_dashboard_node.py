@@ -17,7 +17,7 @@ import sys
 import threading
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -121,9 +121,9 @@ class Rig:
 
 @pytest.fixture(scope="module")
 def rig(
-    ros_domain: int, own_ports: Iterator[int], fleet_file: Path, tmp_path_factory: pytest.TempPathFactory
+    ros_domain: int, free_ports: Callable[[int], list[int]], fleet_file: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Rig]:
-    port = next(own_ports)
+    (port,) = free_ports(1)
     graph = Graph("bridge", namespace="/east")
     log = tmp_path_factory.mktemp("node") / "dashboard.log"
     parameters = {"fleet_file": str(fleet_file), "port": port, "update_rate_hz": 10.0}
@@ -284,8 +284,8 @@ def test_a_wrong_parameter_stops_the_start_in_one_line(start_node, fleet_file, p
     assert len(lines) == 1 and lines[0].startswith("cannot start: ") and says in lines[0]
 
 
-def test_the_demo_serves_the_page_while_it_runs(ros_domain: int, own_ports: Iterator[int], tmp_path: Path) -> None:
-    port = next(own_ports)
+def test_the_demo_serves_the_page_while_it_runs(ros_domain: int, free_ports, tmp_path: Path) -> None:
+    (port,) = free_ports(1)
     command = [sys.executable, "-m", "jpap_ros.demo", "--dashboard", str(port), "--out", str(tmp_path)]
     demo = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:

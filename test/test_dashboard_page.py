@@ -7,7 +7,7 @@ would read on the page.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from geometry_msgs.msg import Point
 from graph import PATIENCE_S, Graph, NodeProcess
 from jpap_msgs.msg import Deployment, Device, DeviceUpdate, VehicleState
 from playwright.sync_api import Browser, Page, expect, sync_playwright
+from std_msgs.msg import String
 
 from jpap_ros.fleet.config import MapOrigin
 from jpap_ros.mavlink.geodesy import LocalFrame
@@ -35,8 +36,8 @@ ARGUMENTS = [
 
 UAVS = ["uav1", "uav2", "uav3"]
 ORIGIN = MapOrigin(-37.8136, 144.9631, 20.0)
-#: Two places too far apart for one UAV.
-SITES = {"school": (-600.0, 0.0), "clinic": (600.0, 50.0)}
+#: Two places too far apart for one UAV, at the demands below.
+SITES = {"school": (-300.0, 0.0), "clinic": (300.0, 20.0)}
 TOKEN = "correct horse battery staple"
 
 DESKTOP, TABLET, TABLET_UPRIGHT = (1440, 900), (1024, 768), (768, 1024)
@@ -67,8 +68,11 @@ class System:
         self.deployments = graph.collect(Deployment, "deployment", LATCHED)
         self.states = {n: graph.collect(VehicleState, f"{n}/state", LATCHED) for n in UAVS}
         own: dict[str, tuple[str, dict[str, Any]]] = {
-            "sim": ("sim", {"speedup": 15.0}),
-            "bridge": ("bridge", {"transit_speed_m_s": 10.0}),
+            "sim": ("sim", {"speedup": 6.0}),
+            "bridge": (
+                "bridge",
+                {"transit_speed_m_s": 20.0, "transit_climb_m_s": 10.0, "transit_acceleration_m_s2": 5.0},
+            ),
             "planner": ("planner", {}),
             "dashboard": ("dashboard", {"port": self.port, "exercise": True}),
             "guarded": ("dashboard", {"port": self.guarded_port, "token_file": str(token_file)}),
@@ -90,9 +94,11 @@ class System:
 
 
 @pytest.fixture(scope="module")
-def system(ros_domain: int, own_ports: Iterator[int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[System]:
+def system(
+    ros_domain: int, free_ports: Callable[[int], list[int]], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[System]:
     graph = Graph()
-    made = System(tmp_path_factory.mktemp("dashboard"), graph, [next(own_ports) for _ in range(5)])
+    made = System(tmp_path_factory.mktemp("dashboard"), graph, free_ports(5))
     try:
         for name in ("dashboard", "guarded"):
             graph.wait(lambda name=name: "open http://" in made.nodes[name].output, f"{name} to listen")
@@ -101,7 +107,7 @@ def system(ros_domain: int, own_ports: Iterator[int], tmp_path_factory: pytest.T
         update = DeviceUpdate()
         update.header.frame_id = "map"
         update.devices = [
-            Device(id=name, position=Point(x=x, y=y), rate_demand=14.0, weight=1.0) for name, (x, y) in SITES.items()
+            Device(id=name, position=Point(x=x, y=y), rate_demand=16.0, weight=1.0) for name, (x, y) in SITES.items()
         ]
         reports.publish(update)
         graph.wait(lambda: made.served() == set(SITES), "a plan for the devices")
@@ -159,7 +165,7 @@ def test_the_page_shows_plan_devices_and_every_aircraft(page: Page, system: Syst
     expect(page.locator("#aircraft tr")).to_have_count(3)
     page.get_by_role("tab", name="Devices").click()
     expect(page.locator("#devices tr")).to_have_count(2)
-    expect(page.locator("#devices")).to_contain_text("14 bit/s")
+    expect(page.locator("#devices")).to_contain_text("16 bit/s")
     page.get_by_role("tab", name="Events").click()
     expect(page.locator("#events")).to_contain_text("2 devices joined")
 
@@ -189,10 +195,36 @@ def test_an_order_is_carried_out_only_after_it_was_confirmed(page: Page, system:
     expect(page.locator("#events")).to_contain_text(f"{wanted} is in the air")
 
 
+def test_an_aircraft_that_a_pilot_took_over_is_given_back(page: Page, system: System) -> None:
+    (flown,) = system.in_air()
+    give_back = page.get_by_role("button", name="Give back")
+    expect(give_back).to_be_disabled()
+    faults = system.graph.publisher(String, "sim/fault")
+    faults.publish(String(data=f"{flown} pilot LOITER"))
+    expect(row(page, flown)).to_contain_text("taken over")
+    expect(row(page, flown)).to_contain_text("without the bridge asking")
+    system.graph.wait(lambda: system.states[flown][-1].goal_state == VehicleState.GOAL_YIELDED, "the bridge to yield")
+    expect(give_back).to_have_text("Give back (1)")
+    give_back.click()
+    page.get_by_role("dialog").get_by_role("button", name="Give back").click()
+    expect(page.locator(".toast")).to_contain_text("Give back: 1 of 1 UAVs")
+    # Another aircraft may have its cell by now: what counts is that the bridge has it, in the mode of its goals.
+    system.graph.wait(
+        lambda: (
+            system.states[flown][-1].goal_state != VehicleState.GOAL_YIELDED
+            and system.states[flown][-1].mode == "GUIDED"
+        ),
+        "the bridge to have it back",
+    )
+    expect(row(page, flown)).not_to_contain_text("taken over")
+    page.get_by_role("tab", name="Events").click()
+    expect(page.locator("#events")).to_contain_text(f"{flown} was taken over")
+
+
 def test_a_device_added_changed_and_removed_by_hand_reaches_the_plan(page: Page, system: System) -> None:
     page.get_by_role("tab", name="Exercise").click()
     form = page.locator("#exercise")
-    for label, text in {"Id": "by hand", "East [m]": "590", "North [m]": "80", "Demand [bit/s]": "13"}.items():
+    for label, text in {"Id": "by hand", "East [m]": "290", "North [m]": "40", "Demand [bit/s]": "13"}.items():
         form.get_by_label(label, exact=True).fill(text)
     form.get_by_role("button", name="Add or change").click()
     expect(page.locator(".toast").last).to_contain_text("Device by hand reported")
