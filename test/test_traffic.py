@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from jpap_ros.fleet.traffic import TrafficControl, Traveller
-from jpap_ros.fleet.transit_plan import TransitLimits
+from jpap_ros.fleet.transit import plan_transit
+from jpap_ros.fleet.transit_plan import TransitLimits, TransitPlan
 
 LIMITS = TransitLimits(min_separation_m=10.0, tracking_error_m=1.0)
 STEP_S = 0.1
@@ -40,6 +43,8 @@ class World:
             name: Traveller(place, self.obeys[name], True, self.goals[name], self.now)
             for name, place in self.places.items()
         }
+        if isinstance(self.control._worker, LateWorker):
+            self.control._worker.step()
         self.control.step(self.now, fleet)
         self.now += STEP_S
         for name in self.places:
@@ -189,10 +194,38 @@ def test_others_stop_short_of_one_that_drops_out_at_any_moment(dropped: str) -> 
             control.close()
 
 
+class LateWorker:
+    """Plans as the worker does, but answers only after some more steps."""
+
+    def __init__(self, delay_steps: int) -> None:
+        self._delay_steps = delay_steps
+        self._answer: tuple[Future[TransitPlan], TransitPlan] | None = None
+        self._steps_left = 0
+        self.answers = 0
+
+    def submit(self, *request: Any) -> Future[TransitPlan]:
+        assert self._answer is None, "one request at a time"
+        self._answer, self._steps_left = (Future(), plan_transit(*request)), self._delay_steps
+        return self._answer[0]
+
+    def step(self) -> None:
+        self._steps_left -= 1
+        if self._answer is not None and self._steps_left <= 0:
+            (future, plan), self._answer = self._answer, None
+            future.set_result(plan)
+            self.answers += 1
+
+    def close(self) -> None:
+        pass
+
+
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_nobody_comes_close_whatever_changes_when(data: st.DataObject) -> None:
-    control = TrafficControl(QUICK, waits_for_plans=True)
+@given(data=st.data(), delay_steps=st.sampled_from([0, 0, 3, 30]))
+def test_nobody_comes_close_whatever_changes_when(data: st.DataObject, delay_steps: int) -> None:
+    """Also where plans come late, after goals have changed and aircraft have dropped out."""
+    control = TrafficControl(QUICK, waits_for_plans=not delay_steps)
+    if delay_steps:
+        control._worker = LateWorker(delay_steps)  # type: ignore[assignment]
     try:
         count = data.draw(st.integers(2, 7))
         names = [f"u{i}" for i in range(count)]
@@ -209,6 +242,23 @@ def test_nobody_comes_close_whatever_changes_when(data: st.DataObject) -> None:
         assert world.nearest >= 10.0 - 1e-6
     finally:
         control.close()
+
+
+def test_a_late_plan_is_flown_only_by_those_whom_it_still_fits() -> None:
+    # a and b exchange places, so both ask the worker; before it answers, c has begun to fly through between them.
+    control = TrafficControl(QUICK)
+    control._worker = late = LateWorker(5)  # type: ignore[assignment]
+    world = World(control, {"a": (0.0, 0.0, 50.0), "b": (80.0, 0.0, 50.0), "c": (40.0, 60.0, 62.0)})
+    world.goals = {"a": (80.0, 0.0, 50.0), "b": (0.0, 0.0, 50.0), "c": None}
+    world.run(lambda: False, 3 * STEP_S)
+    assert late.answers == 0
+    assert world.places["a"] == (0.0, 0.0, 50.0)
+    world.goals["c"] = (40.0, -60.0, 62.0)
+    world.run(lambda: False, 2 * STEP_S)
+    assert world.places["c"] != (40.0, 60.0, 62.0), "straight flights do not wait for the worker"
+    assert world.run(world.at_goals, 60.0)
+    assert late.answers >= 2
+    assert world.nearest >= 10.0
 
 
 def test_one_that_hovers_a_hair_from_its_goal_holds_up_nobody(control: TrafficControl) -> None:
