@@ -1,12 +1,14 @@
 """Every shipped scenario, played to its end as a user would play it, and what becomes of one that is wrong or stopped.
 
 Oracle: the scenario's own expectations, held against what the nodes publish and the simulator's ground truth; exit
-statuses; the process table.
+statuses; the process table. The flight is recorded, and what the report makes of the recording is held against the
+simulator's truth, which is not in it.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,8 +19,13 @@ import pytest
 from ament_index_python.packages import get_package_share_directory
 
 from jpap_ros.demo.scenario import ScenarioError, load_scenario
+from jpap_ros.report.flight import is_of_flight, read_flight
+from jpap_ros.report.page import compute
+from jpap_ros.report.recording import RecordingReader
 
 SCENARIOS = sorted((Path(__file__).parent.parent / "config" / "scenarios").glob("*.yaml"))
+#: The bridge sees aircraft a few times a second; simulated time runs several times as fast [m].
+SEEN_WITHIN_M = 5.0
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
 
@@ -28,13 +35,21 @@ def demo(*arguments: str) -> list[str]:
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_scenario_comes_to_its_end(path: Path, ros_domain: int, tmp_path: Path) -> None:
-    run = subprocess.run(
-        demo("--scenario", path.stem, "--out", str(tmp_path)), capture_output=True, text=True, check=False, timeout=175
-    )
+    command = demo("--scenario", path.stem, "--out", str(tmp_path), "--record")
+    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=175)
     logs = "".join(f"--- {log.name}\n{log.read_text()}" for log in tmp_path.glob("*.log"))
     assert run.returncode == 0, run.stdout + run.stderr + logs
     assert (tmp_path / "demo.png").read_bytes().startswith(PNG_MAGIC)
-    assert "devices, with demands of" in run.stdout
+    summary = re.search(r"(\d+) of \d+ devices, with demands of .* never nearer than ([\d.]+) m", run.stdout, re.DOTALL)
+    assert summary, run.stdout
+
+    (recording,) = (tmp_path / "recordings").glob("*.mcap")
+    flight = read_flight(RecordingReader([recording], is_of_flight))
+    found = compute(flight)
+    assert flight.notes == ()
+    assert sum(len(cell.device_ids) for cell in flight.plans[-1].message.cells) == int(summary[1])
+    assert found.separation.ever_m == pytest.approx(float(summary[2]), abs=SEEN_WITHIN_M)
+    assert 0.0 < found.availability <= 1.0
 
 
 def children_of(pid: int) -> set[int]:
