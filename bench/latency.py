@@ -34,6 +34,8 @@ from jpap_ros.planning import LinkBudget
 
 SET_POSITION_TARGET_GLOBAL_INT = 86
 SIDE_M = 1500.0
+#: Setpoints leave at 5 Hz or more.
+QUIET_S = 0.5
 DEMANDS = 12.0, 17.0  # bit/s/Hz
 
 
@@ -42,7 +44,7 @@ class Relay(threading.Thread):
 
     def __init__(self, pairs: list[tuple[int, int]]) -> None:
         super().__init__(daemon=True)
-        self.changes: list[float] = []
+        self.changes: dict[int, list[float]] = {}
         self._targets: dict[int, bytes] = {}
         self._selector = selectors.DefaultSelector()
         for aircraft_port, bridge_port in pairs:
@@ -79,8 +81,16 @@ class Relay(threading.Thread):
                 target = data[at + 14 : at + 10 + length]  # all but time_boot_ms: place, velocity, type mask
                 if self._targets.get(vehicle) != target:
                     self._targets[vehicle] = target
-                    self.changes.append(time.monotonic())
+                    self.changes.setdefault(vehicle, []).append(time.monotonic())
             at += 12 + length + (13 if data[at + 2] & 1 else 0)
+
+    def changed(self, vehicle: int, after: float) -> float | None:
+        """When a vehicle's target first changed after a moment; None if it has not yet."""
+        return next((at for at in self.changes.get(vehicle, []) if at >= after), None)
+
+    def quiet(self) -> bool:
+        """Whether nobody's target has changed for a while: all hover."""
+        return time.monotonic() > max((at[-1] for at in self.changes.values()), default=0.0) + QUIET_S
 
 
 class Watch:
@@ -95,7 +105,7 @@ class Watch:
         self.planned_at = 0.0
         self.states: dict[str, VehicleState] = {}
         self.goals: dict[str, tuple[float, float]] = {}
-        self.changes: list[float] = []
+        self.changes: list[tuple[float, str]] = []
         self.node.create_subscription(Deployment, "deployment", self._on_plan, LATCHED)
         for name in uavs:
             self.node.create_subscription(VehicleState, f"{name}/state", self._on_state, LATCHED)
@@ -116,7 +126,7 @@ class Watch:
         goal = (message.pose.position.x, message.pose.position.y)
         if self.goals.get(name) != goal:
             self.goals[name] = goal
-            self.changes.append(time.monotonic())
+            self.changes.append((time.monotonic(), name))
 
     def report(self, devices: dict[str, tuple[float, float, float]], departed: tuple[str, ...] = ()) -> None:
         update = DeviceUpdate()
@@ -202,6 +212,7 @@ def measure(devices: int, uavs: int, joins: int, seed: int) -> tuple[np.ndarray,
             )
         relay = Relay(list(zip(ports[uavs:], ports[:uavs], strict=True)))
         relay.start()
+        vehicles = dict(zip(names, ports[:uavs], strict=True))
         programs = Path(get_package_prefix("jpap_ros")) / "lib" / "jpap_ros"
         rclpy.init(args=[])
         with Children(work) as children:
@@ -217,26 +228,28 @@ def measure(devices: int, uavs: int, joins: int, seed: int) -> tuple[np.ndarray,
             watch.wait(lambda: watch.plan and not watch.plan.unserved and watch.plan.cells, "a plan for all devices")
             answer = watch.launch.call_async(FleetCommand.Request())
             watch.wait(answer.done, "take-off", 120)
-            watch.wait(watch.settled, "the fleet at its goals", 120)
+            watch.wait(lambda: watch.settled() and relay.quiet(), "the fleet at its goals", 120)
             to_plan, to_goal, to_wire = [], [], []
             for join in range(joins):
                 for turn in range(3):
                     watch.change_battery(names[(3 * join + turn) % uavs])
                 newcomer = {f"join{join}": moving_join(rng, present, watch.plan, LinkBudget())}
-                goals, wires, plan = len(watch.changes), len(relay.changes), watch.plan.plan_id
+                goals, plan = len(watch.changes), watch.plan.plan_id
                 started = time.monotonic()
                 watch.report(newcomer)
                 watch.wait(lambda plan=plan: watch.plan.plan_id > plan, "a new plan")
                 to_plan.append(watch.planned_at - started)
                 watch.wait(lambda goals=goals: len(watch.changes) > goals, "a new goal")
-                watch.wait(lambda wires=wires: len(relay.changes) > wires, "a new target on the wire")
-                to_goal.append(watch.changes[goals] - started)
-                to_wire.append(relay.changes[wires] - started)
-                watch.wait(watch.settled, "the fleet at its goals", 120)
+                goal_at, moved = watch.changes[goals]
+                vehicle = vehicles[moved]
+                watch.wait(lambda v=vehicle, s=started: relay.changed(v, s), "a new target on the wire")
+                to_goal.append(goal_at - started)
+                to_wire.append(relay.changed(vehicle, started) - started)
+                watch.wait(lambda: watch.settled() and relay.quiet(), "the fleet at its goals", 120)
                 plan = watch.plan.plan_id
                 watch.report({}, departed=tuple(newcomer))
                 watch.wait(lambda plan=plan: watch.plan.plan_id > plan, "a plan without it")
-                watch.wait(watch.settled, "the fleet at its goals", 120)
+                watch.wait(lambda: watch.settled() and relay.quiet(), "the fleet at its goals", 120)
         rclpy.try_shutdown()
     return np.array(to_plan), np.array(to_goal), np.array(to_wire)
 
