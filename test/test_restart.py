@@ -226,6 +226,22 @@ class World:
         assert self.goals.keys() == set(ARDUPILOTS)
         return self.plan
 
+    def bring_to_goal(self, name: str) -> None:
+        """Launch as an operator does: again, should PX4 have lost its stream of targets on a busy machine."""
+
+        def there() -> bool:
+            reached = self.state(name).goal_state == VehicleState.GOAL_REACHED
+            return reached and name in self.goals and self.off(name) < STAYS_M
+
+        for _ in range(5):
+            self.launch(name)
+            self.wait(
+                lambda: there() or self.state(name).goal_state == VehicleState.GOAL_YIELDED, f"{name} at its goal"
+            )
+            if there():
+                return
+        raise AssertionError(f"{name} was taken over five times: {self.state(name).goal_reason}")
+
     def mark(self) -> dict[str, int]:
         """Remember how much truth there is."""
         return {name: len(truth) for name, truth in self.truth.items()}
@@ -360,8 +376,7 @@ def test_a_bridge_killed_while_all_hover_moves_nobody(world: World, nodes: tuple
 def test_a_px4_that_fell_into_its_failsafe_hovers_until_an_operator_takes_it_back(world: World) -> None:
     world.hovering()
     world.report({"d": (300.0, 0.0)})
-    world.launch(PX4)
-    world.arrived()
+    world.bring_to_goal(PX4)
     goal, since = world.goals[PX4], world.mark()
     world.kill("bridge")
     world.wait(lambda: world.truth[PX4][-1].mode == "HOLD", "the failsafe for a stream that ends")
@@ -370,9 +385,7 @@ def test_a_px4_that_fell_into_its_failsafe_hovers_until_an_operator_takes_it_bac
     assert "found in AUTO.LOITER after a restart" in world.state(PX4).goal_reason
     world.arrived(*ARDUPILOTS)
     assert world.strayed(since, PX4, goal) < STAYS_M
-    world.launch(PX4)
-    world.wait(world.served, "every device served again")
-    world.arrived()
+    world.bring_to_goal(PX4)
 
 
 def test_whom_a_pilot_took_while_the_bridge_was_dead_is_not_commanded(world: World) -> None:
@@ -422,8 +435,9 @@ def test_a_fleet_that_reboots_stays_on_the_ground_until_it_is_launched(world: Wo
     for name in HOMES:
         assert not any(truth.armed or truth.position[2] > 0.1 for truth in world.truth[name][since[name] :])
         assert world.state(name).goal_state in (VehicleState.GOAL_LOST, VehicleState.GOAL_NONE)
-    # Whoever was heard first has the cells now.
+    # Whoever was heard first has the cells now, perhaps the PX4 among them.
     world.wait(world.served, "every device served again")
-    world.launch(*world.goals)
-    world.arrived()
+    crew = [name for name in world.goals if name != PX4]
+    world.launch(*crew)
+    world.arrived(*crew)
     assert world.plan.plan_id >= before.plan_id
