@@ -17,8 +17,8 @@ from mcap_files import of_topic, whole
 
 from jpap_ros.nodes.qos import DEVICES, LATCHED
 from jpap_ros.nodes.replay_steps import differences, newest_states, steps_of
-from jpap_ros.report.flight import DEPLOYMENT, STATE
-from jpap_ros.report.flight import DEVICES as DEVICES_TYPE
+from jpap_ros.report.flight_reader import DEPLOYMENT, STATE
+from jpap_ros.report.flight_reader import DEVICES as DEVICES_TYPE
 from jpap_ros.report.recording import Recording, Told
 
 UAVS = ("uav1", "uav2", "uav3", "uav4")

@@ -37,7 +37,8 @@ from rclpy.serialization import serialize_message
 
 from jpap_ros.nodes.recorder_definitions import full_definition
 from jpap_ros.report.__main__ import main
-from jpap_ros.report.flight import Flight, is_of_flight, read_flight
+from jpap_ros.report.flight import Flight
+from jpap_ros.report.flight_reader import is_of_flight, read_flight
 from jpap_ros.report.page import Figures, compute
 from jpap_ros.report.recording import RecordingError, RecordingReader, read_recording
 

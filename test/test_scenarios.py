@@ -19,7 +19,7 @@ import pytest
 from ament_index_python.packages import get_package_share_directory
 
 from jpap_ros.demo.scenario import ScenarioError, load_scenario
-from jpap_ros.report.flight import is_of_flight, read_flight
+from jpap_ros.report.flight_reader import is_of_flight, read_flight
 from jpap_ros.report.page import compute
 from jpap_ros.report.recording import RecordingReader
 

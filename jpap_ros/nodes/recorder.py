@@ -153,6 +153,8 @@ class RecorderNode(Node):
 
     def _on_second(self) -> None:
         assert self._writer is not None
+        if not self._writer.running:
+            raise RuntimeError("the writing thread has stopped; the traceback above says why")
         self._discover()
         self._ask_planners()
         report = self._writer.report

@@ -122,6 +122,11 @@ class RecordingWriter:
         """How recording goes now."""
         return self._report
 
+    @property
+    def running(self) -> bool:
+        """Whether the thread lives; if not, its traceback says why."""
+        return self._thread.is_alive()
+
     def put(self, entries: Iterable[Entry]) -> None:
         """Have messages written; those that memory has no room for are dropped and counted."""
         with self._lock:

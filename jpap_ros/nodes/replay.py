@@ -17,8 +17,8 @@ from jpap_ros.nodes.parameters import Param, StartError, declare, values
 from jpap_ros.nodes.process import run
 from jpap_ros.nodes.qos import DEVICES, LATCHED
 from jpap_ros.nodes.replay_steps import Step, differences, is_planners, namespace_of, newest_states, steps_of
-from jpap_ros.report.flight import DEVICES as DEVICES_TYPE
-from jpap_ros.report.flight import GEO_DEVICES, STATE
+from jpap_ros.report.flight_reader import DEVICES as DEVICES_TYPE
+from jpap_ros.report.flight_reader import GEO_DEVICES, STATE
 from jpap_ros.report.recording import RecordingError, Told, read_recording
 
 _KINDS = {

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from jpap_ros.report.flight import DEPLOYMENT, DEVICES, GEO_DEVICES, STATE
+from jpap_ros.report.flight_reader import DEPLOYMENT, DEVICES, GEO_DEVICES, STATE
 from jpap_ros.report.recording import Recording, Told
 
 #: Plans whose goals are nearer than this are the same [m]; so for power [W].

@@ -12,7 +12,7 @@ import yaml
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from jpap_ros.report.flight import is_of_flight, read_flight
+from jpap_ros.report.flight_reader import is_of_flight, read_flight
 from jpap_ros.report.page import STEPS, compute, render
 from jpap_ros.report.recording import RecordingError, RecordingReader
 

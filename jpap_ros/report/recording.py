@@ -211,10 +211,14 @@ class _FileReader:
         elif isinstance(record, Channel):
             self._channels[record.id] = record
         elif isinstance(record, Attachment) and record.name == "fleet.yaml":
-            self.fleet_text = record.data.decode()
+            self.fleet_text = record.data.decode(errors="replace")
         elif isinstance(record, Metadata) and record.name.startswith(_PARAMETERS_OF):
-            values = {name: json.loads(text) for name, text in record.metadata.items()}
-            self.parameters[record.name.removeprefix(_PARAMETERS_OF)] = values
+            try:
+                values = {name: json.loads(text) for name, text in record.metadata.items()}
+            except ValueError:
+                self.notes.append(f"{self._path.name}: {record.name} cannot be read")
+            else:
+                self.parameters[record.name.removeprefix(_PARAMETERS_OF)] = values
 
     def _decoded(self, record: Message) -> Told | None:
         channel = self._channels.get(record.channel_id)
