@@ -67,6 +67,9 @@ class System:
         token_file.chmod(0o600)
         self.deployments = graph.collect(Deployment, "deployment", LATCHED)
         self.states = {n: graph.collect(VehicleState, f"{n}/state", LATCHED) for n in UAVS}
+        # Any picture will do for a tile.
+        address = f"http://127.0.0.1:{self.guarded_port}/favicon.svg?{{z}}-{{x}}-{{y}}"
+        tiles = {"tile_url": address, "tile_attribution": "tiles of <b>the test</b>"}
         own: dict[str, tuple[str, dict[str, Any]]] = {
             "sim": ("sim", {"speedup": 6.0}),
             "bridge": (
@@ -75,7 +78,7 @@ class System:
             ),
             "planner": ("planner", {}),
             "dashboard": ("dashboard", {"port": self.port, "exercise": True}),
-            "guarded": ("dashboard", {"port": self.guarded_port, "token_file": str(token_file)}),
+            "guarded": ("dashboard", {"port": self.guarded_port, "token_file": str(token_file), **tiles}),
         }
         self.nodes = {
             name: NodeProcess(executable, folder / f"{name}.log", {"fleet_file": str(path), **parameters})
@@ -269,6 +272,12 @@ def test_a_wrong_token_shows_nothing_and_orders_nothing(system: System, browser:
     expect(page.locator("#chip-page")).to_have_text("Page live")
     expect(page.locator("#aircraft tr")).to_have_count(3)
     assert TOKEN not in page.url
+    # This dashboard shows tiles, and the devices of the map in metres lie on them.
+    expect(page.locator(".leaflet-tile-loaded").first).to_be_attached()
+    expect(page.locator(".leaflet-control-attribution")).to_have_text("tiles of <b>the test</b>")
+    page.get_by_role("tab", name="Devices").click()
+    page.get_by_role("button", name="school").click()
+    expect(page.locator("#details")).to_contain_text("-300 E, 0 N")
     page.close()
 
 

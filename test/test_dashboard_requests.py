@@ -112,11 +112,11 @@ class TestRequests:
 class TestAccess:
     def test_other_machines_need_a_token(self) -> None:
         for host in ("127.0.0.1", "::1", "localhost"):
-            assert not Access(host, None).needs_token
+            assert Access(host, None).token_is_right(None)
         for host in ("0.0.0.0", "::", "192.168.1.5"):
             with pytest.raises(AccessError, match="can be reached from other machines: set token_file"):
                 Access(host, None)
-            assert Access(host, TOKEN).needs_token
+            assert not Access(host, TOKEN).token_is_right(None)
         with pytest.raises(AccessError, match=r"host must be an IP address or localhost, got 'fleet\.example'"):
             Access("fleet.example", None)
 

@@ -45,11 +45,6 @@ class Access:
             )
         self._names = {"localhost", socket.gethostname().lower()}
 
-    @property
-    def needs_token(self) -> bool:
-        """Whether a page has to send a token."""
-        return self._token is not None
-
     def token_is_right(self, token: object) -> bool:
         """Compare in a time that tells nothing about how much of it was right."""
         if self._token is None:

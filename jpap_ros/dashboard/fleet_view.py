@@ -140,8 +140,10 @@ class FleetView:
 
     def set_roles(self, planners: Iterable[str], bridges: Iterable[str]) -> None:
         """Take in which nodes publish the deployment, and which the aircraft's states."""
-        self._planners, self._bridges = frozenset(planners), frozenset(bridges)
-        self._changed_uavs |= set(self.names)
+        roles = frozenset(planners), frozenset(bridges)
+        if roles != (self._planners, self._bridges):
+            self._planners, self._bridges = roles
+            self._changed_uavs |= set(self.names)
 
     def _is_told(self, status: Status) -> bool:
         """Whether an aircraft's own state says the same, or will: the log must not say it twice."""
@@ -161,12 +163,13 @@ class FleetView:
 
     def snapshot(self) -> Json:
         """Everything, for a page that opens."""
+        places = self._places()
         return {
             "type": "snapshot",
             "now": time.time(),
             "uavs": {name: self._state(name) | self._motion(name) for name in self.names},
             "tracks": {name: list(track) for name, track in self._tracks.items() if track},
-            "devices": {name: self._device(name, self._places()) for name in self.devices},
+            "devices": {name: self._device(name, places) for name in self.devices},
             "plan": self._plan(),
             "health": self._health(),
             "events": [asdict(event) for event in self.log.since(0)],

@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 
 from jpap_ros.dashboard.access import Access, AccessError, load_token
 from jpap_ros.dashboard.event_log import WARNING, EventLog
-from jpap_ros.dashboard.fleet_view import STALE_AFTER_S, FleetView
+from jpap_ros.dashboard.fleet_view import FleetView
 from jpap_ros.dashboard.inbox import Inbox
 from jpap_ros.dashboard.requests import ORDERS
 from jpap_ros.dashboard.server import DashboardServer, Outcome, ServerSettings
@@ -231,7 +231,6 @@ def _page(fleet: FleetConfig, settings: dict[str, Any]) -> dict[str, Any]:
         "polygon": [list(corner) for corner in fence.polygon_m] if fence is not None else [],
         "tile_attribution": settings["tile_attribution"],
         "update_s": 1.0 / settings["update_rate_hz"],
-        "stale_after_s": STALE_AFTER_S,
     }
 
 

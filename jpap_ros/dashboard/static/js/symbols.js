@@ -1,6 +1,6 @@
 // Shapes on the map. What something is shows by shape and by colour, in Okabe and Ito's palette.
 
-export const COLOURS = {
+const COLOURS = {
   served: "#009e73",
   unserved: "#d55e00",
   interrupted: "#e69f00",
