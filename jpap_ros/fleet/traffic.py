@@ -434,6 +434,7 @@ class TrafficControl:
             self._turned.update(convoy.names)
             for name in convoy.names:
                 del self._resting[name]
+                self._held.pop(name, None)
 
 
 def _vector(values: Floats | Vector) -> Vector:
