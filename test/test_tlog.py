@@ -84,7 +84,7 @@ def test_keys_are_never_logged(tmp_path: Path) -> None:
 def test_a_full_disk_is_told_once_and_logging_goes_on_when_there_is_room(tmp_path: Path) -> None:
     told: list[str] = []
     with small_disk(tmp_path / "disk", 256) as disk:
-        log = TlogFolder(disk, told.append, period_s=0.02)
+        log = TlogFolder(disk, told.append, period_s=0.02, room_bytes=64 << 10)
         log.keep(ONE, heartbeat(sequence=1))
         until(lambda: any(path.stat().st_size for path in disk.iterdir()), "the first frame is written")
         ballast = fill(disk)

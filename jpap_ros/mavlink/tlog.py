@@ -41,6 +41,8 @@ class TlogFolder:
         Between two writes [s].
     max_pending_bytes : int
         Kept for one link while the disk is slow; further frames are left out.
+    room_bytes : int
+        After a failure, writing goes on when the disk has so much free: the last block would be full again at once.
 
     Attributes
     ----------
@@ -56,7 +58,12 @@ class TlogFolder:
     """
 
     def __init__(
-        self, folder: Path, tell: Callable[[str], object], period_s: float = 0.5, max_pending_bytes: int = 4 << 20
+        self,
+        folder: Path,
+        tell: Callable[[str], object],
+        period_s: float = 0.5,
+        max_pending_bytes: int = 4 << 20,
+        room_bytes: int = 1 << 20,
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK | os.X_OK):
@@ -67,6 +74,7 @@ class TlogFolder:
         self._tell = tell
         self._period_s = period_s
         self._max_pending = max_pending_bytes
+        self._room_bytes = room_bytes
         self._began = time.strftime("%Y-%m-%dT%H-%M-%SZ", time.gmtime())
         self._pending: dict[LinkUrl, _Pending] = {}
         self._files: dict[LinkUrl, _LogFile] = {}
@@ -109,12 +117,23 @@ class TlogFolder:
             pending, self._pending = self._pending, {}
         if not pending:
             return
+        if self.problem and not self._has_room():
+            with self._lock:
+                self.lost += sum(fresh.frames for fresh in pending.values())
+            return
         problems = [problem for url, fresh in pending.items() if (problem := self._append(url, fresh))]
         if problems and not self.problem:
             self._tell(f"telemetry log: {problems[0]}; frames are left out until it can be written again")
         elif self.problem and not problems:
             self._tell(f"telemetry log: written again; {self.lost} frames were left out")
         self.problem = problems[0] if problems else ""
+
+    def _has_room(self) -> bool:
+        try:
+            disk = os.statvfs(self.folder)
+        except OSError:
+            return False
+        return disk.f_bavail * disk.f_frsize >= self._room_bytes
 
     def _append(self, url: LinkUrl, fresh: _Pending) -> str:
         """Write what waits for one link; return what went wrong."""
