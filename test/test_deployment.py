@@ -108,5 +108,7 @@ def test_values_that_are_no_numbers_and_uavs_that_do_not_exist(good: Deployment)
 
 
 def test_shapes(good: Deployment) -> None:
-    (line,) = good.violations(POSITIONS[:2], RATES[:2], LINK)
-    assert line == "shapes: the deployment is for 3 devices, there are 2 positions and 2 rates"
+    for positions, rates in ((POSITIONS[:2], RATES[:2]), (POSITIONS.T, RATES), (POSITIONS, RATES[:, None])):
+        (line,) = good.violations(positions, rates, LINK)
+        shapes = f"positions of shape {positions.shape} and rates of shape {rates.shape}"
+        assert line == f"shapes: the deployment is for 3 devices, there are {shapes}"

@@ -20,23 +20,25 @@ def find_violations(
     min_separation_m: float = 0.0,
 ) -> list[str]:
     """Every broken constraint of P1, in words and numbers. See `Deployment.violations`."""
-    where, demand = np.asarray(positions, float).reshape(-1, 2), np.asarray(rates, float)
-    if where.shape[0] != len(deployment.serving_uav) or demand.shape != deployment.serving_uav.shape:
+    count = len(deployment.serving_uav)
+    where, demand = np.asarray(positions, float), np.asarray(rates, float)
+    if demand.shape != (count,) or (where.shape != (count, 2) and where.size + count > 0):
         return [
-            f"shapes: the deployment is for {len(deployment.serving_uav)} devices,"
-            f" there are {len(where)} positions and {demand.size} rates"
+            f"shapes: the deployment is for {count} devices,"
+            f" there are positions of shape {where.shape} and rates of shape {demand.shape}"
         ]
+    where = where.reshape(count, 2)
     wild = [
         f"{name}[{', '.join(map(str, index))}] is {array[tuple(index)]}"
         for name in ("uav_positions", "power_w", "rate", "uav_rate")
         for array in [getattr(deployment, name)]
         for index in np.argwhere(~np.isfinite(array)).tolist()
     ]
-    count = len(deployment.uav_positions)
+    uavs = len(deployment.uav_positions)
     wild += [
-        f"device {k}: its serving UAV {uav} does not exist, there are {count}"
+        f"device {k}: its serving UAV {uav} does not exist, there are {uavs}"
         for k, uav in enumerate(deployment.serving_uav.tolist())
-        if not -1 <= uav < count
+        if not -1 <= uav < uavs
     ]
     if wild:
         return wild
