@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -60,8 +61,8 @@ def extract(reader: RecordingReader, folder: Path) -> list[Path]:
     RecordingError
         If the recording has neither.
     """
-    for _ in reader:
-        """All else is known when the messages have been read."""
+    # All else is known when the messages have been read.
+    deque(reader, maxlen=0)
     files = {} if reader.fleet_text is None else {"fleet.yaml": reader.fleet_text}
     for node, values in reader.parameters.items():
         # Of another machine and another time.
