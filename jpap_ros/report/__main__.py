@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections import deque
 from collections.abc import Sequence
@@ -68,7 +67,7 @@ def extract(reader: RecordingReader, folder: Path) -> list[Path]:
         # Of another machine and another time.
         kept = {name: value for name, value in values.items() if name not in ("fleet_file", "state_file")}
         name = node.strip("/").replace("/", "_")
-        files[f"{name}.yaml"] = yaml.safe_dump({"/**": {"ros__parameters": json.loads(json.dumps(kept))}})
+        files[f"{name}.yaml"] = yaml.safe_dump({"/**": {"ros__parameters": kept}})
     if not files:
         raise RecordingError("there is neither a fleet file nor a planner's parameters in the recording")
     folder.mkdir(parents=True, exist_ok=True)
