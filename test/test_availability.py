@@ -126,8 +126,10 @@ def test_tired_stays_tired_until_it_stands_on_the_ground():
     roster = life.step(1.0, [flying("a", battery=0.35), ground("b")], {1: Station(HERE)})
     assert roster.reliefs == {1: "b"}
     roster = life.step(2.0, [ground("a"), flying("b")], {1: Station(HERE)})
-    assert roster.crew == {1: "b"}
-    assert "a" in roster.reserves
+    # Nobody had told it to land: it is not sent up again at once.
+    assert (roster.crew, roster.reserves) == ({1: "b"}, ())
+    later = life.step(2.0 + POLICY.launch_timeout_s, [ground("a"), flying("b")], {1: Station(HERE)})
+    assert later.reserves == ("a",)
 
 
 @pytest.mark.parametrize("fault", [{"link": Link.LOST}, {"yielded": True}])

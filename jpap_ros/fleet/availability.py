@@ -341,6 +341,8 @@ class FleetLife:
         if self._is_critical(vehicle):
             return "is at its critical battery"
         if not vehicle.in_air and name in self._flown and not vehicle.busy:
+            # Nobody wanted that: whoever comes down from its station by itself is not sent up again at once.
+            self._barred_until[name] = now_s + self.policy.launch_timeout_s
             return "has landed"
         if not vehicle.in_air and name in self._tired:
             return "is too low on battery to take off"

@@ -88,12 +88,16 @@ class AircraftWatch:
         landed = not vehicle.in_air and name in self._in_air
         if joined:
             events.add_aircraft(name)
+            self._heard.add(name)
         if tired:
             events.add(f"{name} is low on battery")
+            self._tired.add(name)
         if landed:
             events.add(f"{name} has landed")
-        self._heard.add(name)
-        # A battery recovers a little when the load falls; tired is tired until it stands on the ground.
-        self._tired = self._tired | {name} if tired else self._tired if vehicle.in_air else self._tired - {name}
-        self._in_air = self._in_air | {name} if vehicle.in_air else self._in_air - {name}
+        if vehicle.in_air:
+            self._in_air.add(name)
+        else:
+            # In the air a battery recovers a little when the load falls: tired is tired until it stands on the ground.
+            self._in_air.discard(name)
+            self._tired.discard(name)
         return joined or tired or landed

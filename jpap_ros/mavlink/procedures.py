@@ -13,7 +13,7 @@ from jpap_ros.mavlink.aircraft import Aircraft, Procedure, ProcedureFailed
 from jpap_ros.mavlink.authority import Holder
 from jpap_ros.mavlink.autopilots import Autopilot, TargetError, Transport
 from jpap_ros.mavlink.commands import ANSWER_TIMEOUT_S, Command, Outcome
-from jpap_ros.mavlink.muster import Muster
+from jpap_ros.mavlink.muster import PLACES_WITHIN_S, Muster
 from jpap_ros.mavlink.vehicle import LinkState
 
 #: A mode asked for must show in the heartbeat within this [s].
@@ -70,9 +70,9 @@ def launch(
             raise ProcedureFailed("it is taking off or landing; call again when it is in the air or on the ground")
         height_m = aircraft.settings.takeoff_height_m
         if tower is not None and muster is not None:
-            while (turn := muster.turn(name, aircraft.now)) is None:
-                yield
-                _check_link(aircraft)
+            yield from _until(aircraft, lambda: muster.turn(name, aircraft.now) is not None, 2 * PLACES_WITHIN_S)
+            if (turn := muster.turn(name, aircraft.now)) is None:
+                raise ProcedureFailed("where it stands is not on the map")
             height_m = tower.climb_m(turn)
             yield from _wait_for_turn(aircraft, partial(_climb_hindrance, aircraft, tower, turn), "take off")
         yield from _rise(aircraft, height_m)

@@ -474,7 +474,7 @@ class PlannerNode(ManagedNode):
             roster = self._keep_fleet(plan)
             plan = with_crew(plan, roster.crew)
             reliefs = {name: roster.goals[name] for name in roster.reliefs.values()}
-            reason = ", ".join([reason, *roster.events])
+            reason = ", ".join([reason, *(event for event in roster.events if event not in reason)])
         # What anybody was told must survive a kill.
         self._store(plan, devices, settings)
         now = time.monotonic()
