@@ -1,4 +1,4 @@
-"""Start everything: planner, bridge, the picture for viewers and, unless the fleet is real, its simulated aircraft."""
+"""Start everything: planner, bridge, the picture for viewers and, where asked for, simulated aircraft and more."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
@@ -25,7 +25,8 @@ def generate_launch_description() -> LaunchDescription:
                 default_value="optimal",
                 description="Algorithm that makes the deployment, e.g. optimal or jpap",
             ),
-            DeclareLaunchArgument("sim", default_value="true", description="Start simulated aircraft: true or false"),
+            # Beside real aircraft, simulated ones of the same ids would be taken for them.
+            DeclareLaunchArgument("sim", default_value="false", description="Start simulated aircraft: true or false"),
             DeclareLaunchArgument(
                 "dashboard", default_value="false", description="Serve the page for the browser: true or false"
             ),

@@ -96,7 +96,7 @@ def _redeploy(
         coverage_radius_m=None if old.coverage_radius_m is None else radii,
         uavs_needed=max(old.uavs_needed, len(cells)),
         min_uavs_bound=old.min_uavs_bound,
-        proven_optimal=old.proven_optimal and len(cells) <= old.uavs_needed,
+        proven_optimal=old.proven_optimal and len(cells) <= old.uavs_needed and len(unserved) == len(old.unserved),
         average_uav_rate_bound=old.average_uav_rate_bound if len(cells) == len(old.uav_positions) else None,
     )
     return replace(made, runtime_s=old.runtime_s)
