@@ -182,7 +182,7 @@ def fill(target: Any, values: dict[str, Any]) -> None:
 
 
 #: Set-up of the reader's own machines: only the shell has a look at it.
-ELSEWHERE = ("source", "colcon", "pip", "ssh", "(umask")
+ELSEWHERE = ("source", "colcon", "pip", "rosdep", "ssh", "(umask")
 
 
 @pytest.mark.parametrize(
