@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
+import pymap3d
+
 from jpap_ros.fleet.checks import MAX_MAP_M
 from jpap_ros.fleet.config import MapOrigin
 
-#: WGS-84: semi-major axis [m], and the square of the eccentricity from the flattening.
-_SEMIMAJOR_M = 6_378_137.0
-_FLATTENING = 1.0 / 298.257223563
-_ECCENTRICITY2 = _FLATTENING * (2.0 - _FLATTENING)
 _MAX_DROP_M = 2_000.0
 _CONVERGED_M = 1e-6
 _MAX_STEPS = 20
@@ -22,7 +20,7 @@ class LocalFrame:
     Only the horizontal coordinates are converted, between a map point and the geodetic position at the origin's
     height whose east and north components it has. Heights stay heights above the ground (map z) and never follow the
     tangent plane up from the curved earth. The two directions are inverse to each other within a micrometre. One
-    conversion takes a few microseconds: it is done for every setpoint of every aircraft.
+    conversion takes about 15 us (to the map) or 60 us (from it).
 
     Parameters
     ----------
@@ -39,22 +37,13 @@ class LocalFrame:
         if abs(origin.latitude) > 89.0 or not math.isfinite(origin.altitude_amsl_m):
             raise ValueError(f"the origin must lie between latitudes -89 and 89 at a finite altitude, got {origin}")
         self.origin = origin
-        latitude, longitude = math.radians(origin.latitude), math.radians(origin.longitude)
-        sin_lat, cos_lat, sin_lon, cos_lon = (
-            math.sin(latitude),
-            math.cos(latitude),
-            math.sin(longitude),
-            math.cos(longitude),
-        )
-        self._centre = _ecef(origin.latitude, origin.longitude)
-        self._east = -sin_lon, cos_lon, 0.0
-        self._north = -sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat
-        self._up = cos_lat * cos_lon, cos_lat * sin_lon, sin_lat
-        root = math.sqrt(1.0 - _ECCENTRICITY2 * sin_lat**2)
-        prime_vertical_m = _SEMIMAJOR_M / root
-        meridional_m = prime_vertical_m * (1.0 - _ECCENTRICITY2) / root**2
+        ellipsoid = pymap3d.Ellipsoid.from_name("wgs84")
+        latitude = math.radians(origin.latitude)
+        root = math.sqrt(1.0 - (ellipsoid.eccentricity * math.sin(latitude)) ** 2)
+        prime_vertical_m = ellipsoid.semimajor_axis / root
+        meridional_m = prime_vertical_m * (1.0 - ellipsoid.eccentricity**2) / root**2
         self._degrees_per_m_north = math.degrees(1.0 / meridional_m)
-        self._degrees_per_m_east = math.degrees(1.0 / (prime_vertical_m * cos_lat))
+        self._degrees_per_m_east = math.degrees(1.0 / (prime_vertical_m * math.cos(latitude)))
 
     def to_map(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
         """East and north [m] of a geodetic position [deg]; ValueError if it is out of range or of the map."""
@@ -86,26 +75,10 @@ class LocalFrame:
     def _project(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float, float]:
         # On the ellipsoid itself: MAVLink's altitude is above mean sea level, whose undulation is not known here;
         # 100 m of height scale distances by 1.6e-5.
-        (x, y, z), (x0, y0, z0) = _ecef(latitude_deg, longitude_deg), self._centre
-        x, y, z = x - x0, y - y0, z - z0
-        east, north, up = self._east, self._north, self._up
-        return (
-            east[0] * x + east[1] * y,
-            north[0] * x + north[1] * y + north[2] * z,
-            up[0] * x + up[1] * y + up[2] * z,
+        east, north, up = pymap3d.geodetic2enu(
+            latitude_deg, longitude_deg, 0.0, self.origin.latitude, self.origin.longitude, 0.0
         )
-
-
-def _ecef(latitude_deg: float, longitude_deg: float) -> tuple[float, float, float]:
-    """Earth-centred, earth-fixed coordinates [m] of a point on the ellipsoid."""
-    latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
-    sin_lat, cos_lat = math.sin(latitude), math.cos(latitude)
-    prime_vertical_m = _SEMIMAJOR_M / math.sqrt(1.0 - _ECCENTRICITY2 * sin_lat**2)
-    return (
-        prime_vertical_m * cos_lat * math.cos(longitude),
-        prime_vertical_m * cos_lat * math.sin(longitude),
-        prime_vertical_m * (1.0 - _ECCENTRICITY2) * sin_lat,
-    )
+        return float(east), float(north), float(up)
 
 
 def check_geodetic(latitude_deg: float, longitude_deg: float) -> None:
