@@ -145,6 +145,14 @@ def test_the_bridge_logs_both_directions_of_every_link(
         graph.wait(
             lambda: all(heard and heard[-1].position_valid for heard in states.values()), "both vehicles are heard"
         )
+        # The bridge's heartbeat goes out once a second.
+        graph.wait(
+            lambda: all(
+                ("HEARTBEAT", 245) in [(m.get_type(), m.get_srcSystem()) for m in played_back(path)]
+                for path in logs.glob("*.tlog")
+            ),
+            "the bridge's heartbeat in each log",
+        )
         assert bridge.stop() == 0
         received = {}
         for vehicle in sim:

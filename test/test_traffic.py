@@ -131,6 +131,23 @@ def test_an_aircraft_far_from_its_setpoint_stops_its_convoy(control: TrafficCont
     assert stopped.velocity == pytest.approx((0.0, 0.0, 0.0))
 
 
+def test_one_that_is_late_on_a_simulated_clock_flies_on() -> None:
+    """Oracle: the definition of `faster`. A fifth of a second of the machine's delay is not straying, half one is."""
+    real = TransitLimits(tracking_error_m=2.0, speed_m_s=8.0, acceleration_m_s2=1.5)
+    assert real.faster(1.0).lag_s == 0.0
+    for late_s, flies_on in ((0.12, True), (0.5, False)):
+        control = TrafficControl(real.faster(8.0))
+        try:
+            goal = (600.0, 0.0, 50.0)
+            control.step(0.0, {"a": Traveller((0.0, 0.0, 50.0), True, True, goal, 0.0)})
+            here, now = control.setpoint("a", max(4.0 - late_s, 0.0)).position, 4.0
+            control.step(now, {"a": Traveller(here, True, True, goal, now)})
+            speed = control.setpoint("a", now + 0.5).velocity[0]
+            assert (speed > 60.0) == flies_on
+        finally:
+            control.close()
+
+
 def test_an_aircraft_whose_goal_is_taken_away_stops_on_its_way(control: TrafficControl) -> None:
     world = World(control, {"a": (0.0, 0.0, 50.0)})
     world.goals = {"a": (400.0, 0.0, 50.0)}

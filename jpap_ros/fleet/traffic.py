@@ -27,6 +27,8 @@ Vector = tuple[float, float, float]
 SAME_PLACE_M = 1e-3
 #: After so long, a way is looked for again for those that were held [s].
 RETRY_S = 1.0
+#: Moments at which the way of an aircraft that may be late or early is looked at.
+_LAG_STEPS = 17
 
 
 @dataclass(frozen=True)
@@ -284,8 +286,12 @@ class TrafficControl:
         # Compared with where it should have been when it said where it is; from before the start that means nothing.
         if traveller.position is None or traveller.heard_at <= flight.started:
             return False
-        wanted, _, _ = flight.place(name, traveller.heard_at)
-        return math.dist(traveller.position, wanted) > self.limits.tracking_error_m
+        moments = np.linspace(-self.limits.lag_s, self.limits.lag_s, _LAG_STEPS) if self.limits.lag_s else (0.0,)
+        return all(
+            math.dist(traveller.position, flight.place(name, max(traveller.heard_at - late, flight.started))[0])
+            > self.limits.tracking_error_m
+            for late in moments
+        )
 
     def _obeys(self, name: str) -> bool:
         return name in self._fleet and self._fleet[name].obeys

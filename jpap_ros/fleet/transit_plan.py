@@ -16,6 +16,10 @@ from jpap_ros.fleet.time_law import TimeLaw
 Vector = tuple[float, float, float]
 
 
+#: From an aircraft's simulated move to the bridge's knowing, on a machine that is busy [s].
+_MACHINE_LAG_S = 0.2
+
+
 @dataclass(frozen=True)
 class TransitLimits:
     """What a transition has to keep to.
@@ -29,6 +33,9 @@ class TransitLimits:
     reaction_s : float
         Time until an aircraft that drops out of a convoy is noticed [s]. Convoys are flown no faster than that the
         others can then stop before they come nearer than `min_separation_m` to one that stops dead.
+    lag_s : float
+        How late or early on its way an aircraft may be besides `tracking_error_m` [s]. Not planned for: only for a simulation
+        faster than time, where this is the delay of the machine, alike for all, not what an aircraft does.
     speed_m_s, vertical_speed_m_s, acceleration_m_s2 : float
         What every aircraft can do; below what its autopilot is configured for, so that it can follow.
     min_altitude_m, max_altitude_m : float
@@ -38,6 +45,7 @@ class TransitLimits:
     min_separation_m: float = 10.0
     tracking_error_m: float = 1.0
     reaction_s: float = 1.0
+    lag_s: float = 0.0
     speed_m_s: float = 5.0
     vertical_speed_m_s: float = 1.5
     acceleration_m_s2: float = 1.0
@@ -49,7 +57,7 @@ class TransitLimits:
             value = getattr(self, item.name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
                 raise ValueError(f"{item.name} must be a finite number, got {value!r}")
-        for name in ("min_separation_m", "tracking_error_m", "reaction_s"):
+        for name in ("min_separation_m", "tracking_error_m", "reaction_s", "lag_s"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must be >= 0, got {getattr(self, name)!r}")
         for name in ("speed_m_s", "vertical_speed_m_s", "acceleration_m_s2"):
@@ -63,6 +71,7 @@ class TransitLimits:
         return replace(
             self,
             reaction_s=self.reaction_s / rate,
+            lag_s=max(_MACHINE_LAG_S * (1 - 1 / rate), 0.0),
             speed_m_s=self.speed_m_s * rate,
             vertical_speed_m_s=self.vertical_speed_m_s * rate,
             acceleration_m_s2=self.acceleration_m_s2 * rate**2,
