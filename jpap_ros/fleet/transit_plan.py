@@ -34,8 +34,8 @@ class TransitLimits:
         Time until an aircraft that drops out of a convoy is noticed [s]. Convoys are flown no faster than that the
         others can then stop before they come nearer than `min_separation_m` to one that stops dead.
     lag_s : float
-        How late or early on its way an aircraft may be besides `tracking_error_m` [s]. Not planned for: only for a simulation
-        faster than time, where this is the delay of the machine, alike for all, not what an aircraft does.
+        How late or early on its way an aircraft may be besides `tracking_error_m` [s]. Not planned for: only for a
+        simulation faster than time, where this is the delay of the machine, alike for all, not what an aircraft does.
     speed_m_s, vertical_speed_m_s, acceleration_m_s2 : float
         What every aircraft can do; below what its autopilot is configured for, so that it can follow.
     min_altitude_m, max_altitude_m : float
