@@ -561,6 +561,8 @@ def test_a_device_is_interrupted_only_if_it_must_be_and_then_it_is_reported(plan
     assert cell.goal_pose.position.x == pytest.approx(apart - max(apart - 188.79, 0.0), abs=0.1)
     assert_demands_met(plan, devices)
     assert list(plan.interrupted) == interrupted
+    # The log comes after the message; this is its last line.
+    node.said("not served: device 'a'")
     assert ("interrupted on the way: device 'b'" in node.process.output) == bool(interrupted)
 
 
@@ -612,6 +614,32 @@ def test_a_quick_plan_is_followed_by_the_proven_one(planner):
     # The operator's question is answered by a plan from scratch as well, which now gains nothing.
     answer = node.graph.call(Trigger, "planner/replan")
     assert answer.success and f"{len(proven.cells)} UAVs serve 24 devices" in answer.message
+
+
+def test_a_plan_is_proven_again_after_an_event_that_asks_for_nothing_new(planner, graph):
+    """An aircraft that joins was counted on before, so that a plan from scratch has the same task."""
+    node = planner(scheme="optimal", uavs=3, reoptimise=True)
+    node.send({"school": (-300.0, 0.0, 16.0), "clinic": (300.0, 20.0, 16.0)})
+
+    def proven_after(plan):
+        def found():
+            return next((d for d in node.deployments if d.plan_id >= plan.plan_id and d.proven_optimal), None)
+
+        return graph.wait(found, f"a proof after {plan.reason!r}", 30.0)
+
+    proven_after(node.plan("2 devices joined"))
+    said = graph.publisher(VehicleState, "uav3/state", LATCHED)
+    for landed_state, reason in (
+        (VehicleState.LANDED_IN_AIR, "uav3 joined"),
+        (VehicleState.LANDED_ON_GROUND, "uav3 has landed"),
+    ):
+        said.publish(
+            VehicleState(uav="uav3", link=VehicleState.LINK_CONNECTED, landed_state=landed_state, battery_remaining=0.9)
+        )
+        plan = node.plan(reason)
+        # Oracle: by construction each place needs a UAV of its own.
+        proven = proven_after(plan)
+        assert proven.min_uavs_bound == len(proven.cells) == 2
 
 
 def test_devices_that_fall_silent_are_taken_out(planner):

@@ -92,6 +92,7 @@ class PlannerNode(ManagedNode):
         self._in_work: EventJob | WeighJob | None = None
         self._overdue = False
         self._solving = False
+        #: What the plan in force was weighed for against a plan from scratch; a later change of it was not.
         self._weighed: Request | None = None
         self._planned_with: PlanSettings | None = None
         self._asked: list[Future] = []
@@ -390,12 +391,11 @@ class PlannerNode(ManagedNode):
         self._publish(plan, str(job.events), job.devices, job.settings, job.started_s)
         self._health.latency_s = time.monotonic() - job.first_event_s
         self._warn_unserved(job.devices, plan, before)
-        if plan.from_scratch or job.weighs:
-            self._weighed = job.request
+        # A change carries no proof, not even one for the same request, as when an aircraft joins that was counted on.
+        self._weighed = job.request if plan.from_scratch or job.weighs else None
         if job.settings.scheme in SLOW_SCHEMES and job.waiting:
             # The answer is the plan from scratch, which the solver's process makes.
             self._asked.extend(job.waiting)
-            self._weighed = None
         else:
             self._tell(job.waiting, True, f"plan {self._health.plan_id}: {plan.summary()}" + (how and f"; {how}"))
 
