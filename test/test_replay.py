@@ -141,10 +141,14 @@ def test_a_planner_told_the_same_plans_the_same(
     assert planner.stop() == 0
     again.close()
 
+    # At the recorded times.
+    start_node("planner", {"fleet_file": str(fleet_file), **PLANNER}, namespace="/in_time")
+    replay = start_node("replay", {"recording": [str(path)], "rate": 1.0}, namespace="/in_time")
     # To a planner of another scheme, which is told apart.
     start_node("planner", {"fleet_file": str(fleet_file), **PLANNER, "scheme": "kmeans_epa"}, namespace="/other")
     other = start_node("replay", {"recording": [str(path)], "patience_s": 0.5}, namespace="/other")
-    graph.wait(lambda: other.process.poll() is not None, "the replay ends by itself")
+    graph.wait(lambda: None not in (replay.process.poll(), other.process.poll()), "both replays end by themselves")
+    assert replay.wait() == 0, replay.output
     assert other.wait() == 3, other.output
     assert "another:" in other.output and "6 of 6" not in other.output
 

@@ -142,11 +142,14 @@ class ReplayNode(Node):
         # States first: what the planner knows of the fleet when a device event comes must be what it knew then.
         for item in newest_states(step.inputs):
             self._tell(item)
-        for publisher in self._outs.values():
-            publisher.wait_for_all_acked(Duration(seconds=1.0))
+        self._await_heard()
         for item in step.inputs:
             if item.type_name != STATE:
                 self._tell(item)
+
+    def _await_heard(self) -> None:
+        for publisher in self._outs.values():
+            publisher.wait_for_all_acked(Duration(seconds=1.0))
 
     def _tell(self, item: Told) -> None:
         if item.topic in self._outs:
@@ -176,12 +179,18 @@ class ReplayNode(Node):
         """Tell everything at the recorded times, so much faster; return how many plans came about in their order."""
         inputs = [item for step in self._steps for item in step.inputs]
         began, first_s = time.monotonic(), inputs[0].sent_s if inputs else 0.0
+        first_report = next((item for item in inputs if item.type_name != STATE), None)
         taken = len(self._heard)
         for item in inputs:
             if self._stopping.wait(
                 max(0.0, began + (item.sent_s - first_s) / self._settings["rate"] - time.monotonic())
             ):
                 return 0
+            if item is first_report:
+                # At the start, the planner's readers of states may be matched later than those of devices.
+                waited_since = time.monotonic()
+                self._await_heard()
+                began += time.monotonic() - waited_since
             self._tell(item)
         same = 0
         for plan in plans:
