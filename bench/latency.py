@@ -28,6 +28,7 @@ from jpap_msgs.srv import FleetCommand
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 
+from jpap_ros.demo.fleet_file import free_ports
 from jpap_ros.demo.processes import Children
 from jpap_ros.nodes.qos import DEVICES, LATCHED
 from jpap_ros.planning import LinkBudget
@@ -198,7 +199,7 @@ def moving_join(
 def measure(devices: int, uavs: int, joins: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Seconds from each join to its plan, to the changed goal, and to the changed target on the wire."""
     rng = np.random.default_rng(seed)
-    ports = _free_ports(2 * uavs)
+    ports = free_ports(2 * uavs)
     names = [f"uav{i + 1}" for i in range(uavs)]
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
@@ -252,16 +253,6 @@ def measure(devices: int, uavs: int, joins: int, seed: int) -> tuple[np.ndarray,
                 watch.wait(lambda: watch.settled() and relay.quiet(), "the fleet at its goals", 120)
         rclpy.try_shutdown()
     return np.array(to_plan), np.array(to_goal), np.array(to_wire)
-
-
-def _free_ports(count: int) -> list[int]:
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    for sock in sockets:
-        sock.bind(("127.0.0.1", 0))
-    ports = [sock.getsockname()[1] for sock in sockets]
-    for sock in sockets:
-        sock.close()
-    return ports
 
 
 def main() -> None:

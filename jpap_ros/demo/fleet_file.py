@@ -34,7 +34,7 @@ def write_fleet(path: Path, origin: tuple[float, float, float], count: int) -> N
             "url": f"udpin:127.0.0.1:{port}",
             "home_m": [spacing_m * (i % columns), spacing_m * (i // columns)],
         }
-        for i, port in enumerate(_free_ports(count))
+        for i, port in enumerate(free_ports(count))
     ]
     fleet = {
         "version": 1,
@@ -45,7 +45,7 @@ def write_fleet(path: Path, origin: tuple[float, float, float], count: int) -> N
     path.write_text(yaml.safe_dump(fleet, sort_keys=False), encoding="utf-8")
 
 
-def _free_ports(count: int) -> list[int]:
+def free_ports(count: int) -> list[int]:
     """UDP ports that are free now, and that nobody is given by chance: above those Linux hands out to clients."""
     # Another demo has another domain, and so begins elsewhere.
     start = _PORTS_EACH * (int(os.environ.get("ROS_DOMAIN_ID", "0")) % _DOMAINS)
