@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -141,13 +142,17 @@ def test_a_planner_told_the_same_plans_the_same(
     assert planner.stop() == 0
     again.close()
 
-    # At the recorded times.
+    # At the recorded times, which are those of the test's waits between plans.
     start_node("planner", {"fleet_file": str(fleet_file), **PLANNER}, namespace="/in_time")
+    began = time.monotonic()
     replay = start_node("replay", {"recording": [str(path)], "rate": 1.0}, namespace="/in_time")
     # To a planner of another scheme, which is told apart.
     start_node("planner", {"fleet_file": str(fleet_file), **PLANNER, "scheme": "kmeans_epa"}, namespace="/other")
     other = start_node("replay", {"recording": [str(path)], "patience_s": 0.5}, namespace="/other")
-    graph.wait(lambda: None not in (replay.process.poll(), other.process.poll()), "both replays end by themselves")
+    graph.wait(lambda: replay.process.poll() is not None, "the replay ends by itself")
+    reports = [m.publish_ns for m in whole(path) if m.topic in ("/devices", "/geo_devices")]
+    assert time.monotonic() - began > (max(reports) - min(reports)) * 1e-9
+    graph.wait(lambda: other.process.poll() is not None, "the other replay ends by itself")
     assert replay.wait() == 0, replay.output
     assert other.wait() == 3, other.output
     assert "another:" in other.output and "6 of 6" not in other.output

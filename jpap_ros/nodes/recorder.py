@@ -62,6 +62,7 @@ class RecorderNode(Node):
         self._planner_topic = self.resolve_topic_name("deployment")
         self._group = _NotExecuted()
         self._channels: dict[str, tuple[Subscription[Any], Channel]] = {}
+        self._newest_ns: dict[str, int] = {}
         self._unreadable: set[str] = set()
         self._asked: set[str] = set()
         self._dropped = 0
@@ -119,9 +120,24 @@ class RecorderNode(Node):
             with handle:
                 while (taken := handle.take_message(subscription.msg_type, True)) is not None:
                     data, info = taken
-                    entries.append(Entry(channel, info["received_timestamp"], info["source_timestamp"], data))
+                    entries.append(
+                        Entry(
+                            channel,
+                            self._log_ns(channel.topic, info["received_timestamp"]),
+                            info["source_timestamp"],
+                            data,
+                        )
+                    )
         if entries:
             self._writer.put(entries)
+
+    def _log_ns(self, topic: str, received_ns: int) -> int:
+        """Return the time to log a message at: later than the one taken before it, since readers order by it.
+
+        What a publisher sends while it still repeats its latched messages arrives before them, and is taken after them.
+        """
+        self._newest_ns[topic] = max(received_ns, self._newest_ns.get(topic, 0) + 1)
+        return self._newest_ns[topic]
 
     # The planner's parameters: without them, nobody could tell later what it was asked to do
 

@@ -37,14 +37,21 @@ def replay_parameters() -> tuple[Param, ...]:
     """Return every parameter of the node."""
     return (
         Param("recording", [""], "Files of the recording (.mcap), in any order", fixed=True),
-        Param("rate", 0.0, "Recorded seconds a second; 0: as fast as the planner answers", 0.0, 1000.0, fixed=True),
+        Param(
+            "rate",
+            0.0,
+            "Recorded seconds a second, at most; 0: as fast as the planner answers",
+            0.0,
+            1000.0,
+            fixed=True,
+        ),
         Param("states", True, "Tell the planner where aircraft were and which could fly, too", fixed=True),
         Param("patience_s", 10.0, "How long to wait for a plan that is the recorded one [s]", 0.1, 3600.0, fixed=True),
     )
 
 
 class ReplayNode(Node):
-    """Tells a planner what a recording says, step by step or at recorded times, and compares its plans.
+    """Tells a planner what a recording says, step by step, and compares its plans.
 
     The telling is a thread of its own; the node ends by itself. `status` is the process's exit status then.
     """
@@ -66,6 +73,8 @@ class ReplayNode(Node):
         for note in recording.notes:
             self.get_logger().warning(note)
         self.status = 0
+        self._first_s = min((item.sent_s for step in self._steps for item in step.inputs), default=0.0)
+        self._began = 0.0
         self._heard: list[Deployment] = []
         self._news = threading.Condition()
         self._outs: dict[str, Publisher[Any]] = {}
@@ -110,7 +119,7 @@ class ReplayNode(Node):
         if self._heard:
             self.get_logger().warning("the planner has a plan already: start with a fresh one to get the same plans")
         plans = [step.plan for step in self._steps if step.plan is not None]
-        same = self._play_at_rate(plans) if self._settings["rate"] else self._play_by_steps()
+        same = self._play()
         if self._stopping.is_set():
             return
         self.status = 0 if same == len(plans) else DIFFERENT
@@ -125,13 +134,14 @@ class ReplayNode(Node):
             time.sleep(_POLL_S)
         return False
 
-    def _play_by_steps(self) -> int:
+    def _play(self) -> int:
         """Tell what came before a plan, wait for the planner's, and so on; return how many were the same."""
         same, taken = 0, len(self._heard)
+        self._began = time.monotonic()
         for step in self._steps:
+            self._tell_step(step)
             if self._stopping.is_set():
                 break
-            self._tell_step(step)
             if step.plan is not None:
                 found = self._await_same(step.plan, taken)
                 same += found is not None
@@ -139,13 +149,26 @@ class ReplayNode(Node):
         return same
 
     def _tell_step(self, step: Step) -> None:
-        # States first: what the planner knows of the fleet when a device event comes must be what it knew then.
-        for item in newest_states(step.inputs):
+        """Tell the states, then the reports together.
+
+        States first: what the planner knows of the fleet when a device event comes must be what it knew then. Reports
+        together, at recorded times too: how the planner gathers events into plans depends on milliseconds that a busy
+        machine does not keep.
+        """
+        states = [item for item in step.inputs if item.type_name == STATE]
+        for item in states if self._settings["rate"] else newest_states(states):
+            self._wait_for_time_of(item)
             self._tell(item)
         self._await_heard()
-        for item in step.inputs:
-            if item.type_name != STATE:
-                self._tell(item)
+        reports = [item for item in step.inputs if item.type_name != STATE]
+        for item in reports:
+            self._wait_for_time_of(reports[-1])
+            self._tell(item)
+
+    def _wait_for_time_of(self, item: Told) -> None:
+        rate = self._settings["rate"]
+        if rate and not self._stopping.is_set():
+            self._stopping.wait(max(0.0, self._began + (item.sent_s - self._first_s) / rate - time.monotonic()))
 
     def _await_heard(self) -> None:
         for publisher in self._outs.values():
@@ -174,30 +197,6 @@ class ReplayNode(Node):
         else:
             self.get_logger().warning(f"{name}: another: {'; '.join(differences(plan, self._heard[-1]))}")
         return None
-
-    def _play_at_rate(self, plans: list[Any]) -> int:
-        """Tell everything at the recorded times, so much faster; return how many plans came about in their order."""
-        inputs = [item for step in self._steps for item in step.inputs]
-        began, first_s = time.monotonic(), inputs[0].sent_s if inputs else 0.0
-        first_report = next((item for item in inputs if item.type_name != STATE), None)
-        taken = len(self._heard)
-        for item in inputs:
-            if self._stopping.wait(
-                max(0.0, began + (item.sent_s - first_s) / self._settings["rate"] - time.monotonic())
-            ):
-                return 0
-            if item is first_report:
-                # At the start, the planner's readers of states may be matched later than those of devices.
-                waited_since = time.monotonic()
-                self._await_heard()
-                began += time.monotonic() - waited_since
-            self._tell(item)
-        same = 0
-        for plan in plans:
-            found = self._await_same(plan, taken)
-            same += found is not None
-            taken = taken if found is None else found + 1
-        return same
 
 
 def main() -> None:
