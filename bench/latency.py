@@ -9,7 +9,6 @@ serve it from where it hovers, but at least one can from elsewhere: it fits a pr
 from __future__ import annotations
 
 import argparse
-import os
 import selectors
 import socket
 import sys
@@ -29,6 +28,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 
 from jpap_ros.demo.fleet_file import free_ports
+from jpap_ros.demo.own_graph import own_graph
 from jpap_ros.demo.processes import Children
 from jpap_ros.nodes.qos import DEVICES, LATCHED
 from jpap_ros.planning import LinkBudget
@@ -265,9 +265,8 @@ def main() -> None:
     options = parser.parse_args()
     # The relay's thread must not wait for the interpreter while this one takes a plan in.
     sys.setswitchinterval(5e-4)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-    to_plan, to_goal, to_wire = measure(options.devices, options.uavs, options.joins, options.seed)
+    with own_graph():
+        to_plan, to_goal, to_wire = measure(options.devices, options.uavs, options.joins, options.seed)
     for label, values in (
         ("join -> plan published", to_plan),
         ("join -> goal published", to_goal),

@@ -38,6 +38,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
+from jpap_ros.demo.own_graph import own_graph
 from jpap_ros.nodes.qos import DEVICES, LATCHED, SENSOR_DATA
 
 CHROMIUM = "/usr/bin/chromium"
@@ -365,10 +366,8 @@ def main() -> None:
     if args.read:
         asyncio.run(read(*args.read))
         return
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     print(f"load average {os.getloadavg()[0]:.1f}; {len_text(args)}, poses at {args.pose_hz:g} Hz")
-    with tempfile.TemporaryDirectory() as work:
+    with own_graph(), tempfile.TemporaryDirectory() as work:
         folder = Path(work)
         fleet_file = folder / "fleet.yaml"
         uavs = [

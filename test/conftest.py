@@ -2,41 +2,29 @@
 
 from __future__ import annotations
 
-import fcntl
 import itertools
 import os
 import socket
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from jpap_ros.demo.own_graph import DOMAINS, own_graph
+
 if TYPE_CHECKING:
     from graph import Graph, NodeProcess
 
-# Above 101 the DDS ports reach the range that Linux hands out to clients.
-DOMAINS = range(1, 102)
 PORTS = range(61_000, 65_536)
 
 
 @pytest.fixture(scope="session")
 def ros_domain() -> Iterator[int]:
     """A ROS_DOMAIN_ID that no other test session or worker uses now; set in the environment as well."""
-    for domain in DOMAINS:
-        lock = (Path(tempfile.gettempdir()) / f"jpap_ros_domain_{domain}.lock").open("w")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-            continue
-        os.environ["ROS_DOMAIN_ID"] = str(domain)
-        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ.pop("ROS_DOMAIN_ID", None)
+    with own_graph() as domain:
         yield domain
-        lock.close()
-        return
-    pytest.fail(f"every ROS domain from {DOMAINS[0]} to {DOMAINS[-1]} is in use")
 
 
 @pytest.fixture(scope="session")

@@ -113,8 +113,11 @@ def fly(graph: Graph, fleet: Fleet, devices: dict[str, tuple[float, float, float
     answer = graph.call(FleetCommand, "bridge/launch", FleetCommand.Request(uavs=sorted(flying)))
     assert answer.success, answer
     assert {result.uav for result in answer.results} == flying
-    graph.wait(lambda: fleet.arrived(plan), f"every aircraft of plan {plan.plan_id} within 1 m of its goal")
-    return plan
+    # Meanwhile the planner hears of the rest of the fleet, and says so in plans of the same cells.
+    graph.wait(lambda: fleet.arrived(fleet.deployments[-1]), "every aircraft of the newest plan within 1 m of its goal")
+    newest = fleet.deployments[-1]
+    assert {cell.uav for cell in newest.cells} == flying
+    return newest
 
 
 def test_two_waves_of_devices_become_a_hovering_fleet(

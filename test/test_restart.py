@@ -27,8 +27,6 @@ from jpap_ros.nodes.qos import DEVICES, LATCHED, SENSOR_DATA
 
 Vector = tuple[float, float, float]
 
-#: Finds a node that was started again within seconds.
-DDS = {"FASTDDS_DEFAULT_PROFILES_FILE": str(Path(__file__).parents[1] / "config" / "dds" / "lossy_link.xml")}
 #: Whoever has nothing to fly to stays this close to its goal, whatever is killed [m].
 STAYS_M = 1.0
 MIN_SEPARATION_M = 10.0
@@ -118,7 +116,7 @@ class World:
             self._starts += 1
             self._wanted.add(name)
             log = self.folder / f"{self._starts}_{name}.log"
-            self._nodes[name] = NodeProcess(name, log, self._parameters[name], environment=DDS)
+            self._nodes[name] = NodeProcess(name, log, self._parameters[name])
 
     def start_again(self, *names: str) -> None:
         """Start nodes; a new bridge is waited for, since calls would go to the dead one otherwise."""

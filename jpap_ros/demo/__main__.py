@@ -27,6 +27,7 @@ from rich.live import Live
 
 from jpap_ros.demo.devices import SiteSource
 from jpap_ros.demo.fleet_file import write_fleet
+from jpap_ros.demo.own_graph import own_graph
 from jpap_ros.demo.processes import ChildDied, Children
 from jpap_ros.demo.run import Failure, Run
 from jpap_ros.demo.scenario import Scenario, ScenarioError, load_scenario
@@ -49,13 +50,11 @@ def main(arguments: list[str] | None = None) -> int:
         console.print(f"demo: {error}", style="red", highlight=False, soft_wrap=True)
         return 2
     signal.signal(signal.SIGTERM, _interrupt)
-    # Nothing here is meant for another machine.
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     out = Path(options.out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     try:
-        with tempfile.TemporaryDirectory(prefix="jpap_demo_") as work:
+        # Nothing here is meant for another machine.
+        with own_graph(), tempfile.TemporaryDirectory(prefix="jpap_demo_") as work:
             return _play(scenario, Path(work), out, share, console, _watchers(options, out))
     except KeyboardInterrupt:
         console.print("stopped", highlight=False)
