@@ -152,8 +152,8 @@ def best_count(program: RateProgram, fewest: int, most: int) -> int:
         assert found is not None
         if found.total_rate / uavs > best:
             best, at = found.total_rate / uavs, uavs
-        # (bound + n marginal) / (uavs + n) lies between its values at n = 1 and n = infinity.
-        if max((found.bound + found.marginal) / (uavs + 1), found.marginal) < best:
+        # (relaxed + n marginal) / (uavs + n) lies between its values at n = 1 and n = infinity.
+        if max((found.relaxed + found.marginal) / (uavs + 1), found.marginal) < best:
             break
     return at
 

@@ -22,8 +22,10 @@ from jpap_ros.planning.optimal.column_generation import bounds_by_columns
 from jpap_ros.planning.optimal.ejection import fewer_cells
 from jpap_ros.planning.optimal.enumeration import all_sets, maximal_sets
 from jpap_ros.planning.optimal.fleet import first_cells, simple_bound, smallest_fleet
+from jpap_ros.planning.optimal.milp import incidence
 from jpap_ros.planning.optimal.partition import RateProgram
 from jpap_ros.planning.optimal.pricing import price
+from jpap_ros.planning.optimal.regrouping import GROUP, fewer_by_groups
 from jpap_ros.planning.optimal.servability import Servability
 from jpap_ros.planning.solver import validate
 
@@ -147,18 +149,60 @@ def test_ejection_search_yields_valid_partitions_of_fewer_cells(seed):
     assert size <= len(first_cells(servability))
 
 
+def test_regrouping_neighbours_gives_ever_fewer_servable_cells():
+    """At the density of K = 100; the fewest of a group of neighbours cannot be more than they were."""
+    positions, rates = draw(3, 300, 2600)
+    servability = Servability.of(problem_of(positions, rates))
+    members, _ = maximal_sets(servability)
+    start = first_cells(servability)
+    size = len(start)
+    assert size > GROUP
+    for cells in fewer_by_groups(servability, incidence(members, 300), start, 1, time.monotonic() + 20, 0):
+        assert is_partition(cells, 300)
+        assert all(servability.servable(cell) for cell in cells)
+        assert len(cells) < size
+        size = len(cells)
+        if size < len(start) - 3:
+            break
+    assert size < len(start)
+
+
+@pytest.mark.parametrize("milliseconds", range(2, 120, 9))
+def test_a_search_that_is_cut_short_anywhere_gives_a_fleet_and_a_bound(milliseconds: int):
+    positions, rates = draw(0, 200, 2100)
+    servability = Servability.of(problem_of(positions, rates))
+    *_, fleet = smallest_fleet(servability, first_cells(servability), time.monotonic() + milliseconds / 1e3, 0)
+    assert is_partition(fleet.cells, 200)
+    assert all(servability.servable(cell) for cell in fleet.cells)
+    assert 1 <= fleet.bound <= len(fleet.cells)
+
+
+def assert_bounds_more_uavs(program: RateProgram, fewest: int, most: int) -> None:
+    later = time.monotonic() + 60
+    first = program.solve(fewest, None, later)
+    for more in range(1, most - fewest + 1):
+        found = program.solve(fewest + more, None, later)
+        assert found.total_rate <= first.relaxed + more * first.marginal + 1e-6
+
+
 def test_rate_program_bounds_more_uavs_as_well():
-    """`bound` and `marginal` together bound the best total rate of every larger number of UAVs."""
+    """`relaxed` and `marginal` together bound the best total rate of every larger number of UAVs."""
     positions, rates = draw(4, 12, 700)
     servability = Servability.of(problem_of(positions, rates))
     members, sets = all_sets(servability)
-    program = RateProgram(servability, members, sets, LINK.power_eta)
     fewest = len(solve(positions, rates, "optimal").uav_positions)
-    later = time.monotonic() + 60
-    first = program.solve(fewest, None, later)
-    for more in range(1, 12 - fewest + 1):
-        found = program.solve(fewest + more, None, later)
-        assert found.total_rate <= first.bound + more * first.marginal + 1e-6
+    assert_bounds_more_uavs(RateProgram(servability, members, sets, LINK.power_eta), fewest, 12)
+
+
+def test_the_bound_on_more_uavs_holds_where_the_linear_program_is_not_whole():
+    """Triangles of which any two devices can share a UAV, but not all three: the linear program takes halves."""
+    random = np.random.default_rng(5)
+    corners = np.array([[0.0, 0.0], [20.0, 0.0], [10.0, 17.0]])
+    positions = np.concatenate([corners + np.array([5000.0 * k, 0.0]) for k in range(6)])
+    servability = Servability.of(problem_of(positions, random.uniform(15, 16.5, 18), 2))
+    members, sets = all_sets(servability)
+    assert max(map(len, members)) == 2
+    assert_bounds_more_uavs(RateProgram(servability, members, sets, LINK.power_eta), 12, 18)
 
 
 def test_dense_instance_without_enumeration_is_bounded_within_the_time():

@@ -10,17 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from jpap_ros.planning.link_budget import Floats
 from jpap_ros.planning.optimal.column_generation import bounds_by_columns
+from jpap_ros.planning.optimal.cover import covering_columns, without_overlap
 from jpap_ros.planning.optimal.ejection import fewer_cells
 from jpap_ros.planning.optimal.enumeration import TooManySets, maximal_sets
 from jpap_ros.planning.optimal.milp import incidence, minimise
+from jpap_ros.planning.optimal.regrouping import GROUP, fewer_by_groups
 from jpap_ros.planning.optimal.servability import Ints, Servability
 
 _MOST_SETS = 800_000
 #: Sets that a mixed-integer program can still do something with.
 _MOST_COLUMNS = 60_000
 _LONGEST_SEARCH_S = 5.0
+#: One program does well on its own with fewer cells than so many groups of neighbours.
+_MANY_GROUPS = 4
 _ROUNDING = 1e-6
 
 
@@ -138,6 +141,11 @@ def _with_enumeration(
     for better in _search(servability, fleet, time.monotonic() + search, seed + 1):
         fleet = better
         yield fleet
+    if len(fleet.cells) > _MANY_GROUPS * GROUP:
+        groups_until = time.monotonic() + 0.35 * (deadline - time.monotonic())
+        for cells in fewer_by_groups(servability, matrix, fleet.cells, fleet.bound, groups_until, seed):
+            fleet = Fleet(cells, fleet.bound)
+            yield fleet
     # A smaller fleet uses no set whose reduced cost exceeds what is left between the bound and its size.
     able = np.flatnonzero(1 - worth <= len(fleet.cells) - 1 - bound + _ROUNDING)
     if fleet.proven or len(able) > _MOST_COLUMNS:
@@ -145,28 +153,16 @@ def _with_enumeration(
         return
     columns = sparse.csc_array(matrix[:, able])
     found = minimise(
-        cost[able], columns, at_least, no_limit, integer=True, start=_covering(columns, fleet.cells),
+        cost[able], columns, at_least, no_limit, integer=True, start=covering_columns(columns, fleet.cells),
         deadline=deadline, gap=1 - 1e-4,
     )  # fmt: skip
     # The program knows only the sets that a smaller fleet could use: it says nothing of fleets as large as this one.
-    least = min(len(fleet.cells), math.ceil(min(found.bound, len(fleet.cells)) - _ROUNDING))
+    # Out of time before its first linear program, it says nothing at all (-inf).
+    least = math.ceil(min(max(found.bound, fleet.bound), len(fleet.cells)) - _ROUNDING)
     cells = fleet.cells
     if found.x is not None and found.objective < len(cells) - 0.5:
         cells = without_overlap([members[i] for i in able[found.x > 0.5]], count)
-    yield Fleet(cells, max(fleet.bound, least))
-
-
-def _covering(matrix: sparse.csc_array, cells: list[Ints]) -> Floats | None:
-    """The columns that contain the cells, as a start; None where one is missing."""
-    x = np.zeros(matrix.shape[1])
-    rows = matrix.tocsr()
-    for cell in cells:
-        inside = np.bincount(np.concatenate([rows.indices[rows.indptr[k] : rows.indptr[k + 1]] for k in cell]))
-        column = int(inside.argmax()) if len(inside) else 0
-        if not len(inside) or inside[column] < len(cell):
-            return None
-        x[column] = 1
-    return x
+    yield Fleet(cells, least)
 
 
 def _without_enumeration(servability: Servability, fleet: Fleet, deadline: float, seed: int) -> Iterator[Fleet]:
@@ -185,15 +181,3 @@ def _without_enumeration(servability: Servability, fleet: Fleet, deadline: float
             yield fleet
     if not fleet.proven:
         yield from _search(servability, fleet, deadline, seed + 2)
-
-
-def without_overlap(cells: list[Ints], count: int) -> list[Ints]:
-    """Leave each device in one of the sets that cover it; subsets of servable sets are servable."""
-    free = np.ones(count, dtype=bool)
-    parts = []
-    for cell in cells:
-        part = cell[free[cell]]
-        free[part] = False
-        if len(part):
-            parts.append(part)
-    return parts

@@ -42,17 +42,17 @@ def minimise(
     row_upper: Floats,
     *,
     integer: bool,
-    upper: float = 1.0,
     start: Floats | None = None,
     deadline: float = math.inf,
     gap: float = 1e-9,
 ) -> Result:
-    """Minimise cost x with row_lower <= matrix x <= row_upper and 0 <= x <= upper.
+    """Minimise cost x with row_lower <= matrix x <= row_upper and x >= 0; x is 0 or 1 if integer.
 
     Parameters
     ----------
     integer : bool
-        Whether x must be whole.
+        Whether x must be 0 or 1. A linear program has no upper bounds: where its rows imply x <= 1, as those of
+        covers and partitions do, bounds would only take part of the rows' duals.
     start : (n,) array, optional
         A feasible point to begin from.
     deadline : float
@@ -73,7 +73,7 @@ def minimise(
     model = highspy.HighsLp()
     model.num_col_, model.num_row_ = columns, rows
     model.col_cost_ = cost
-    model.col_lower_, model.col_upper_ = np.zeros(columns), np.full(columns, upper)
+    model.col_lower_, model.col_upper_ = np.zeros(columns), np.full(columns, 1.0 if integer else np.inf)
     model.row_lower_, model.row_upper_ = row_lower, row_upper
     model.a_matrix_.format_ = highspy.MatrixFormat.kColwise
     model.a_matrix_.start_ = matrix.indptr

@@ -18,6 +18,8 @@ from jpap_ros.planning.optimal.servability import Bools, Ints, Servability, Sets
 _PRICE_TOLERANCE = 1e-6
 _REFINED_AT_A_TIME = 500
 _FIRST_COLUMNS_PER_DEVICE = 8
+#: The rate of a set is known once its bounds are no further apart [bit/s/Hz].
+_KNOWN = 1.01 * RATE_TOLERANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,15 +36,18 @@ class Partition:
         Rate of each UAV [bit/s/Hz].
     bound : float
         Proven upper bound on the total rate of this many cells [bit/s/Hz].
+    relaxed : float
+        Proven upper bound on the linear program's total rate for this many cells [bit/s/Hz]; never below `bound`.
     marginal : float
-        Proven upper bound on what each further UAV could add to `bound` [bit/s/Hz].
+        Slope of the linear program: k more cells have a total rate of at most `relaxed + k * marginal` [bit/s/Hz].
     """
 
     cells: list[Ints]
     positions: Floats
     rates: Floats
     bound: float
-    marginal: float
+    relaxed: float = math.inf
+    marginal: float = math.inf
 
     @property
     def total_rate(self) -> float:
@@ -104,12 +109,12 @@ class RateProgram:
             gap = math.inf if best is None else relaxed - self.rate[best].sum()
             able = np.flatnonzero(prices + self.bound - self.rate >= -gap - _PRICE_TOLERANCE)
             if not len(np.setdiff1d(able, tried)):
-                bound = min(relaxed, proven + uavs * RATE_TOLERANCE)
+                bound = min(relaxed, proven + uavs * _KNOWN)
                 break
         if best is None:
             return None
         cells = [self.members[i] for i in best]
-        return Partition(cells, self.position[best], self.rate[best], bound, marginal)
+        return Partition(cells, self.position[best], self.rate[best], bound, relaxed, marginal)
 
     def _column(self, cell: Ints) -> int:
         return self._index[np.sort(cell).tobytes()]
@@ -124,7 +129,7 @@ class RateProgram:
             value = -relaxed.duals
             worth = self.with_count.T @ value
             bound_prices = self.bound - worth
-            loose = np.flatnonzero((bound_prices > RATE_TOLERANCE) & (self.bound > self.rate + 1.01 * RATE_TOLERANCE))
+            loose = np.flatnonzero((bound_prices > RATE_TOLERANCE) & (self.bound > self.rate + _KNOWN))
             if not len(loose):
                 # Every set costs at most `excess` more than its devices and its place are worth.
                 excess = max(float(bound_prices.max()), 0.0)
@@ -151,12 +156,12 @@ class RateProgram:
             integer=True,
             start=None if start is None else np.isin(columns, start).astype(float),
             deadline=deadline,
-            gap=uavs * RATE_TOLERANCE,
+            gap=uavs * (2 * RATE_TOLERANCE - _KNOWN),
         )
         return None if found.x is None else columns[found.x > 0.5], -found.bound
 
     def _refine(self, which: Ints) -> None:
-        loose: Bools = self.bound[which] > self.rate[which] + 1.01 * RATE_TOLERANCE
+        loose: Bools = self.bound[which] > self.rate[which] + _KNOWN
         which = which[loose]
         if not len(which):
             return

@@ -54,7 +54,7 @@ class RateSearch:
                 improved = self._exchange_with_neighbours(near[: _PARTNERS + 1], deadline)
             if improved is not None:
                 fresh[improved] = True
-        return Partition(self.cells, self.positions, self.rates, np.inf, np.inf)
+        return Partition(self.cells, self.positions, self.rates, np.inf)
 
     def _optimise(self, group: Ints, deadline: float) -> Ints | None:
         """Re-partition a group to its optimum; the group if that is better."""

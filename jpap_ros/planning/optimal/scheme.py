@@ -135,7 +135,7 @@ class _Solver:
         """The cells as they are, each from its best position."""
         hover = best_positions(self.servability, cells, self.servability.measure_all(cells), self.power_eta)
         bound = float(hover.bound[0]) if len(cells) == 1 else math.inf
-        return Partition(cells, hover.position, hover.rate, bound, math.inf)
+        return Partition(cells, hover.position, hover.rate, bound)
 
     def _largest_rate(self, cells: list[Ints]) -> Partition:
         """Re-partition the devices of these cells into as many cells of the largest rate."""
@@ -176,7 +176,7 @@ class _Solver:
         searches = [RateSearch(part, start, self.power_eta) for start in starts]
         best = max(searches, key=lambda search: float(search.rates.sum()))
         found = best.run(self.deadline, self.problem.seed)
-        return found if proven is None else replace(found, bound=proven.bound, marginal=proven.marginal)
+        return found if proven is None else replace(found, bound=proven.bound)
 
     def _apart(self, fleet: Fleet, partition: Partition) -> tuple[Fleet, Partition]:
         """Cells whose UAVs can hover apart, at the least cost in UAVs where all servable sets are known."""

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from jpap_ros.planning.link_budget import Floats
-from jpap_ros.planning.optimal.fleet import without_overlap
+from jpap_ros.planning.optimal.cover import without_overlap
 from jpap_ros.planning.optimal.milp import incidence, minimise
 from jpap_ros.planning.optimal.servability import Ints
 
