@@ -26,7 +26,7 @@ def test_a_fleet_flies_over_a_lossy_slow_and_interrupted_link(ros_domain: int) -
         capture_output=True,
         text=True,
         check=False,
-        timeout=170,
+        timeout=380,
     )
     assert run.returncode == 0, run.stdout + run.stderr
     assert "the fleet flew" in run.stdout
