@@ -24,6 +24,7 @@ from jpap_ros.mavlink.signing import Signer, SigningKey
 OWN = (245, 191)
 KEY, OTHER_KEY = bytes(range(32)), bytes(32)
 QGC, MAVPROXY = (255, 190), (254, 230)
+FLEET = (1, 2)
 
 
 class Node:
@@ -106,7 +107,7 @@ class TestRules:
     @pytest.fixture
     def four(self, network: Network) -> Network:
         pairs = [network.node() for _ in range(4)]
-        network.forwarder = Forwarder(network.hub, OWN, [link for _, link in pairs[2:]])
+        network.forwarder = Forwarder(network.hub, OWN, [link for _, link in pairs[2:]], FLEET)
         for i, source in enumerate([(1, 1), (2, 1), QGC, MAVPROXY]):
             network.says(network.nodes[i], heartbeat(*source))
         return network
@@ -167,6 +168,33 @@ class TestRules:
         frame = command_long(*MAVPROXY, (1, 1), 400)
         assert four.says(four.nodes[3], frame) == {0: [frame]}
 
+    def test_a_stations_echo_from_a_vehicle_shuts_nobody_out(self, four: Network) -> None:
+        # An autopilot passes broadcasts on from one port to the others: vehicle 2 returns what QGroundControl says.
+        echo, land = heartbeat(*QGC, sequence=1), command_long(*QGC, (1, 1), dialect.MAV_CMD_NAV_LAND)
+        assert four.says(four.nodes[1], echo) == {}
+        assert four.forwarder.looped == 1
+        assert four.says(four.nodes[2], land) == {0: [land]}
+        # And has not become the way to that station.
+        answer = frame_v2(77, 143, struct.pack("<HBBiBB", 21, 0, 0, 0, *QGC), 1, 1)
+        assert four.says(four.nodes[0], answer) == {2: [answer]}
+        # Nor does an echo that is all that is left of a station stay in its way.
+        four.now += 61.0
+        four.says(four.nodes[1], echo)
+        four.says(four.nodes[0], heartbeat(1, sequence=1))
+        assert four.says(four.nodes[2], land) == {0: [land]}
+
+    def test_a_vehicle_heard_by_way_of_a_station_first_is_heard_itself(self, network: Network) -> None:
+        # The station has a link of its own to vehicle 1, and ours comes up later.
+        (vehicle, _), (station, link) = network.node(), network.node()
+        network.forwarder = Forwarder(network.hub, OWN, [link], FLEET)
+        network.says(station, heartbeat(*QGC), heartbeat(1))
+        own = heartbeat(1, sequence=1)
+        assert network.says(vehicle, own) == {1: [own]}
+        assert network.says(station, heartbeat(1, sequence=2)) == {}
+        assert network.forwarder.looped == 1
+        command = command_long(*QGC, (1, 1), 400)
+        assert network.says(station, command) == {0: [command]}
+
     def test_joystick_frames_go_to_the_vehicle_they_name(self, four: Network) -> None:
         # MANUAL_CONTROL names its target in a field called target, not target_system.
         payload = struct.pack("<hhhhHB", 0, 0, 500, 0, 0, 2)
@@ -180,7 +208,7 @@ def test_two_stations_on_one_listening_link_hear_each_other_and_the_vehicle(netw
     port = probe.socket.getsockname()[1]
     probe.socket.close()
     listening = network.hub.open(LinkUrl("udpin", "127.0.0.1", port))
-    network.forwarder = Forwarder(network.hub, OWN, [listening])
+    network.forwarder = Forwarder(network.hub, OWN, [listening], FLEET)
     first, second = network.guest(listening), network.guest(listening)
     network.says(first, heartbeat(*QGC))
     network.says(vehicle, heartbeat(1))
@@ -194,7 +222,7 @@ def test_a_vehicle_with_two_links_is_sent_everything_once(network: Network) -> N
     wifi, _ = network.node()
     radio, _ = network.node()
     station, link = network.node()
-    network.forwarder = Forwarder(network.hub, OWN, [link])
+    network.forwarder = Forwarder(network.hub, OWN, [link], FLEET)
     network.says(station, heartbeat(*QGC))
     network.says(wifi, heartbeat(1))
     # The same broadcast comes by both links; the station gets it once.
@@ -220,7 +248,7 @@ class TestSigned:
         ]
         options = [LinkOptions(signer=s) for s in (signers[0], None, signers[0], None, signers[1])]
         links = [network.node(option)[1] for option in options]
-        network.forwarder = Forwarder(network.hub, OWN, links[2:])
+        network.forwarder = Forwarder(network.hub, OWN, links[2:], FLEET)
         for i, (sysid, key) in enumerate([(1, KEY), (2, None), (255, KEY), (254, None), (253, OTHER_KEY)]):
             network.says(network.nodes[i], heartbeat(sysid, 190 if sysid > 250 else 1, key=key, timestamp=1))
         return network

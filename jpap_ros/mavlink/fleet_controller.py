@@ -173,7 +173,7 @@ class FleetController:
         own = (settings.sysid, COMPONENT_ID)
         self._stations = links.stations
         self._announced = 0
-        self._forwarder = Forwarder(self._hub, own, links.stations)
+        self._forwarder = Forwarder(self._hub, own, links.stations, [uav.sysid for uav in config.uavs])
         self._rates = {
             links.vehicles[link.url]: LinkRates(link, settings.aircraft.setpoint_rate_hz)
             for link in config.vehicle_links

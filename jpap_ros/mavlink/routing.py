@@ -101,6 +101,9 @@ class Forwarder:
         Our identity: what is for us stays here, and what claims to be from us is dropped.
     gcs_links : collection of Link
         Links to ground stations; all others are links to vehicles.
+    fleet : collection of int
+        System ids of the vehicles: they alone live on vehicle links, whoever else is heard on a ground station's link
+        is a station. See Notes.
 
     Attributes
     ----------
@@ -111,13 +114,23 @@ class Forwarder:
     refused_for_signing : int
         Frames not passed on to a link with a key that they are not signed with.
     looped : int
-        Frames dropped because they came back to us: from ourselves, or a vehicle's by way of a ground station.
+        Frames dropped because they came back to us: our own, a vehicle's by way of a ground station, or a station's
+        by way of a vehicle.
+
+    Notes
+    -----
+    Loops close on both sides: a ground station with a link of its own to a vehicle passes that vehicle's frames on,
+    and an autopilot passes broadcasts on from one of its ports to the others, so that a vehicle with two links, or
+    with a second radio, returns the stations' heartbeats. Of two copies the one from where the source lives counts. A
+    station is never taken for a vehicle because a vehicle repeats it: that would shut out the pilot. Another station
+    with the same id on a vehicle's own radio cannot be told from such an echo, and is not heard while the first is.
     """
 
-    def __init__(self, hub: LinkHub, own: Source, gcs_links: Collection[Link]) -> None:
+    def __init__(self, hub: LinkHub, own: Source, gcs_links: Collection[Link], fleet: Collection[int]) -> None:
         self._hub = hub
         self._own = own
         self._gcs_links = frozenset(gcs_links)
+        self._fleet = frozenset(fleet)
         self._vehicles = RouteTable()
         self._stations = RouteTable()
         self.forwarded = 0
@@ -137,7 +150,7 @@ class Forwarder:
         source = (message.get_srcSystem(), message.get_srcComponent())
         arrival = (packet.link, packet.peer)
         from_station = packet.link in self._gcs_links
-        if source == self._own or (from_station and self._heard_directly(source, now)):
+        if source == self._own or self._is_echo(source, from_station, now):
             self.looped += 1
             return False
         # Component 0 means all of them and cannot be a source to send to.
@@ -158,8 +171,11 @@ class Forwarder:
         self._pass_on(packet, [route for route in routes if route != arrival])
         return True
 
-    def _heard_directly(self, source: Source, now: float) -> bool:
-        return bool(self._vehicles.routes(source, now))
+    def _is_echo(self, source: Source, from_station: bool, now: float) -> bool:
+        """Whether a source lives on the other side and was heard there within a minute."""
+        if source[0] in self._fleet:
+            return from_station and bool(self._vehicles.routes(source, now))
+        return not from_station and bool(self._stations.routes(source, now))
 
     def _for_all(self, source: Source, arrival: Route, from_station: bool, now: float) -> list[Route]:
         stations = [(link, peer) for link in self._gcs_links for peer in link.peers]
