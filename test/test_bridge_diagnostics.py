@@ -56,6 +56,16 @@ GOOD = AircraftSnapshot(
             "never heard: check its power, and its url and sysid 1",
         ),
         ({"link": LinkState.LOST, "heartbeat_at": NOW - 12.2}, DiagnosticStatus.ERROR, "not heard for 12 s: check"),
+        (
+            {"link": LinkState.LOST, "heartbeat_at": NOW - 12.2, "problems": ("sysid 1 is used by several",)},
+            DiagnosticStatus.ERROR,
+            "sysid 1 is used by several; not heard for 12 s",
+        ),
+        (
+            {"link": LinkState.NEVER_SEEN, "heartbeat_at": -math.inf, "problems": ("expected 2 here",)},
+            DiagnosticStatus.ERROR,
+            "expected 2 here",
+        ),
         ({"problems": ("home is not set",)}, DiagnosticStatus.ERROR, "home is not set"),
         ({"battery": Battery(0.1, 13.0, 3)}, DiagnosticStatus.ERROR, "bridge/return_home or bridge/land"),
         ({"battery": Battery(0.2, 14.0, 2)}, DiagnosticStatus.WARN, "battery low"),

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 from fleet_rig import (
@@ -24,6 +24,7 @@ from fleet_rig import (
     velocity,
 )
 
+from jpap_ros.fleet.config import LinkUrl
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.mavlink.vehicle import LinkState
@@ -216,3 +217,46 @@ def test_two_vehicles_with_one_system_id_are_reported_and_not_served(rig: Rig) -
     result = order(controller, FleetOrder.LAUNCH, ("uav1",))["uav1"]
     assert not result.success and "used by several vehicles" in result.message
     assert not any(commands(sim["uav1"]) for sim in sims)
+
+
+def test_a_system_id_heard_where_another_is_expected_is_reported_on_both_and_not_served(rig: Rig) -> None:
+    """Factory settings: both vehicles came with system id 1."""
+    fleet = rig.fleet(2)
+    first, second = fleet.uavs
+    sims = [rig.fly(replace(fleet, uavs=(replace(uav, sysid=1),))) for uav in fleet.uavs]
+    controller = rig.control(fleet, ready_timeout_s=2.0)
+    told = rig.watch.until("uav1", lambda s: any("expected on" in p for p in s.problems))
+    assert "sysid 1" in told.problems[0] and str(second.urls[0]) in told.problems[0]
+    told = rig.watch.until("uav2", lambda s: any("expected 2 here" in p for p in s.problems))
+    assert told.link is LinkState.NEVER_SEEN and "sysid 1 is heard from 127.0.0.1" in told.problems[0]
+    results = order(controller, FleetOrder.LAUNCH, fleet.names)
+    assert not results["uav1"].success and "expected on" in results["uav1"].message
+    assert not results["uav2"].success
+    assert not any(commands(vehicle) for sim in sims for vehicle in sim.vehicles.values())
+    # The second one gets its own id: both are served.
+    sims[1].close()
+    rig.fly(replace(fleet, uavs=(second,)))
+    for name in fleet.names:
+        rig.watch.until(name, lambda s: s.link is LinkState.CONNECTED and not s.problems)
+    assert order(controller, FleetOrder.LAUNCH, (first.name,))[first.name].success
+
+
+def test_two_vehicles_on_the_urls_of_one_are_reported_and_not_served(rig: Rig) -> None:
+    """They stand 50 m apart; with one vehicle on both urls everything is as with one."""
+    ports = rig.ports(4)
+    urls = [tuple(LinkUrl("udpin", "127.0.0.1", port) for port in pair) for pair in (ports[:2], ports[2:])]
+    fleet = rig.mixed(two={"urls": urls[0], "autopilot": "px4"}, one={"urls": urls[1], "autopilot": "px4"})
+    two, one = fleet.uavs
+    sims = [
+        rig.fly(replace(fleet, uavs=(replace(two, urls=(url,), home_m=(-50.0 * i, 0.0)),)))
+        for i, url in enumerate(urls[0])
+    ]
+    rig.fly(replace(fleet, uavs=(one,)))
+    controller = rig.control(fleet, ready_timeout_s=2.0)
+    told = rig.watch.until("two", lambda s: any("several vehicles" in p for p in s.problems))
+    assert all(str(url) in told.problems[0] for url in urls[0])
+    results = order(controller, FleetOrder.LAUNCH, fleet.names)
+    assert not results["two"].success and "several vehicles" in results["two"].message
+    assert results["one"].success
+    assert not any(commands(sim["two"]) for sim in sims)
+    assert not any("several vehicles" in p for s in rig.watch.history["one"] for p in s.problems)

@@ -34,7 +34,9 @@ from jpap_ros.mavlink.resumption import resume
 from jpap_ros.mavlink.routing import Forwarder
 from jpap_ros.mavlink.sightings import Sightings
 from jpap_ros.mavlink.snapshot import AircraftSnapshot, condition_of, position_of, snapshot_of
-from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT
+from jpap_ros.mavlink.strangers import Strangers
+from jpap_ros.mavlink.twins import Twins
+from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState
 
 HEARTBEAT_S = 1.0
 #: Least rate at which every aircraft is looked after [Hz].
@@ -102,6 +104,7 @@ class _Member:
         self.aircraft = aircraft
         self.links = links
         self.sightings: Sightings[Route] = Sightings(silent_after_s)
+        self.twins: Twins[Route] = Twins()
         self.route: Route | None = None
         self.tick_at = 0.0
         self.told: tuple[object, ...] = ()
@@ -194,6 +197,7 @@ class FleetController:
             # Spread over the period, so that targets do not leave in a burst.
             member.tick_at = time.monotonic() + self._tick_s * i / len(config.uavs)
             self._members[uav.name] = member
+        self._strangers: Strangers[Route] = Strangers(settings.aircraft.link_timeout_s)
         # Targets that move need a stream of setpoints.
         streams = settings.aircraft.transport is Transport.SETPOINT
         self._traffic = None
@@ -421,6 +425,18 @@ class FleetController:
                 aircraft.link_problem = rates.problem(bytes_per_s)
                 if changed:
                     aircraft.want_telemetry(rates.rates_hz(aircraft.autopilot))
+        self._report_strangers(now)
+
+    def _report_strangers(self, now: float) -> None:
+        """Tell those on whose links another of the fleet is heard; its own side is told in `_contest`."""
+        for sysid in self._strangers.sysids:
+            for link, peer in self._strangers.addresses(sysid, now):
+                relays = self._strangers.relays((link, peer))
+                for aircraft in (member.aircraft for member in self._members.values() if link in member.links):
+                    if relays and aircraft.vehicle.link is LinkState.CONNECTED:
+                        continue
+                    words = f"sysid {sysid} is heard from {peer} on {link}; expected {aircraft.config.sysid} here"
+                    aircraft.link_problem = "; ".join(filter(None, (words, aircraft.link_problem)))
 
     def _beat(self) -> None:
         beat = mavlink.MAVLink_heartbeat_message(
@@ -449,17 +465,25 @@ class FleetController:
             return
         message = packet.message
         member = self._by_sysid.get(message.get_srcSystem())
-        if member is None or packet.link not in member.links:
+        if member is None or packet.link in self._stations:
             return
         source = message.get_srcSystem(), message.get_srcComponent()
         now = packet.received_at
         route = packet.link, packet.peer
-        member.sightings.alive(route, now)
-        if (
+        expected = packet.link in member.links
+        beats = (
             message.get_type() == "HEARTBEAT"
             and source[1] == AUTOPILOT_COMPONENT
             and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
-        ):
+        )
+        if beats:
+            self._strangers.heard(source[0], route, expected, now)
+        if not expected:
+            return
+        member.sightings.alive(route, now)
+        if len(member.links) > 1 and source[1] == AUTOPILOT_COMPONENT:
+            member.twins.heard(route, message, now)
+        if beats:
             member.sightings.heard(member.links.index(packet.link), route, now)
             self._reroute(member, now)
         if route != member.route and packet.link is (member.route or route)[0]:
@@ -474,16 +498,24 @@ class FleetController:
             self._tell(member)
 
     def _reroute(self, member: _Member, now: float) -> None:
-        before, member.route = member.route, member.sightings.route(now)
+        member.aircraft.duplicates = self._contest(member, now)
+        before = member.route
+        member.route = None if member.aircraft.duplicates else member.sightings.route(now)
         if before is not None and member.route is not None and before[0] is not member.route[0]:
             member.aircraft.want_telemetry(self._rates[member.route[0]].rates_hz(member.aircraft.autopilot))
-        member.aircraft.duplicates = ""
-        if sharing := member.sightings.duplicates(now):
-            where = ", ".join(f"{peer} on {link}" for link, peer in sharing)
-            sysid = member.aircraft.config.sysid
-            member.aircraft.duplicates = (
-                f"sysid {sysid} is used by several vehicles ({where}): none is served; give each its own"
+
+    def _contest(self, member: _Member, now: float) -> str:
+        """Why several vehicles seem to have a member's system id, and what to do; empty in good order."""
+        sysid = member.aircraft.config.sysid
+        if sharing := member.sightings.duplicates(now) or member.twins.addresses(now):
+            return f"sysid {sysid} is used by several vehicles ({_places(sharing)}): none is served; give each its own"
+        if rivals := self._strangers.rivals(sysid, now):
+            urls = ", ".join(str(link) for link in member.links)
+            return (
+                f"sysid {sysid} is heard from {_places(rivals)}, and expected on {urls} alone: none is served; give "
+                "each vehicle its own sysid, or list that url for this one too"
             )
+        return ""
 
     def _tick(self, member: _Member, now: float) -> None:
         self._reroute(member, now)
@@ -526,6 +558,10 @@ def _tower(traffic: TrafficControl, settings: AircraftSettings) -> Tower:
     fence = settings.limits.fence
     top_m = traffic.limits.max_altitude_m
     return Tower(traffic, settings.takeoff_height_m, top_m if fence is None else min(top_m, fence.max_height_m))
+
+
+def _places(routes: Iterable[Route]) -> str:
+    return ", ".join(f"{peer} on {link}" for link, peer in routes)
 
 
 def _report(future: Future[OrderResult], success: bool, message: str) -> None:

@@ -134,9 +134,9 @@ def _link_verdict(report: LinkReport) -> tuple[bytes, str]:
 
 def _verdict(snapshot: AircraftSnapshot, age_s: float) -> tuple[bytes, str]:
     if snapshot.link is LinkState.LOST:
-        return DiagnosticStatus.ERROR, (
-            f"not heard for {age_s:.0f} s: check its power and its radio; it is left to its own failsafe"
-        )
+        silence = f"not heard for {age_s:.0f} s: check its power and its radio; it is left to its own failsafe"
+        # One whose system id is contested is not listened to either: the reason comes first.
+        return DiagnosticStatus.ERROR, "; ".join((*snapshot.problems, silence))
     if snapshot.problems:
         return DiagnosticStatus.ERROR, "; ".join(snapshot.problems)
     if snapshot.link is LinkState.NEVER_SEEN:
