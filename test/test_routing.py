@@ -159,6 +159,10 @@ class TestRules:
         frame = frame_v2(60_000, 9, b"something new", 1, 1)
         assert four.says(four.nodes[0], frame) == {2: [frame], 3: [frame]}
 
+    @pytest.mark.parametrize("source", [(1, 1), (1, 191), QGC])
+    def test_nothing_goes_from_vehicle_to_vehicle(self, four: Network, source: tuple[int, int]) -> None:
+        assert four.says(four.nodes[0], command_long(*source, (2, 1), 400), command_long(*source, (2, 0), 400)) == {}
+
     def test_a_loop_is_cut(self, four: Network) -> None:
         # A ground station with a link of its own to vehicle 1 passes that vehicle's frames on to us as well.
         assert four.says(four.nodes[2], heartbeat(1, sequence=1)) == {}

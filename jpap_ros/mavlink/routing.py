@@ -3,8 +3,8 @@
 Follows https://mavlink.io/en/guide/routing.html: a frame without a target goes to all, one with a target only where
 that target was heard, never back to where it came from, and unchanged. Three things are narrower here:
 
-- Vehicles do not get each other's broadcasts. For N vehicles that would load their links N times over, and nothing
-  in the fleet needs it.
+- Nothing goes from one vehicle to another: only ground stations and the bridge command. Broadcasts would load the links
+  of N vehicles N times over, and a garbled or forged frame on one link would reach the whole fleet.
 - A vehicle with several links is sent everything once, and its broadcasts are taken from one of them, so that a
   ground station's command does not arrive twice.
 - SETUP_SIGNING, which carries a key, is never forwarded.
@@ -110,7 +110,7 @@ class Forwarder:
     forwarded : int
         Frames passed on; once for each that received it.
     unroutable : int
-        Frames whose target was not heard anywhere.
+        Frames whose target was not heard anywhere that they may go to.
     refused_for_signing : int
         Frames not passed on to a link with a key that they are not signed with.
     looped : int
@@ -165,7 +165,7 @@ class Forwarder:
         elif target == self._own:
             return True
         else:
-            routes = list(dict.fromkeys(self._addressed(target, now)))
+            routes = list(dict.fromkeys(self._addressed(target, from_station, now)))
             if not routes and target[0] != self._own[0]:
                 self.unroutable += 1
         self._pass_on(packet, [route for route in routes if route != arrival])
@@ -184,8 +184,8 @@ class Forwarder:
             return stations + list(dict.fromkeys(route for route in primaries if route is not None))
         return stations if self._vehicles.primary(source, now) in (arrival, None) else []
 
-    def _addressed(self, target: Source, now: float) -> Iterator[Route]:
-        for vehicle in self._vehicles.sources(*target):
+    def _addressed(self, target: Source, from_station: bool, now: float) -> Iterator[Route]:
+        for vehicle in self._vehicles.sources(*target) if from_station else ():
             route = self._vehicles.primary(vehicle, now)
             if route is not None:
                 yield route
