@@ -278,6 +278,13 @@ class TestSigned:
         assert five.says(five.nodes[2], forged) == {}
         assert refused(five.hub.links[2]) == 1
 
+    def test_an_unsigned_radio_report_leads_nobody_astray(self, five: Network) -> None:
+        # RADIO_STATUS in the name of a vehicle that is not there.
+        radio = frame_v2(109, dialect.MAVLink_radio_status_message.crc_extra, bytes([1] * 9), 9, 1)
+        five.says(five.nodes[0], radio)
+        assert five.says(five.nodes[2], self.signed(command_long(255, 190, (9, 1), 400), KEY, 5)) == {}
+        assert five.forwarder.unroutable == 1
+
     def test_an_unsigned_vehicle_is_commanded_by_all(self, five: Network) -> None:
         for node, frame in [
             (2, self.signed(command_long(255, 190, (2, 1), 400), KEY, 6)),

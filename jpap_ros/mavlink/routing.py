@@ -154,8 +154,9 @@ class Forwarder:
             self.looped += 1
             return False
         # Component 0 means all of them and cannot be a source to send to.
-        # An unsigned RADIO_STATUS on a link with a key proves nothing about where its supposed source is.
-        if source[0] and source[1] and packet.peer.trusted:
+        # RADIO_STATUS may come unsigned on a link with a key, and then proves nothing about where its source is.
+        proven = packet.link.options.signer is None or message.get_msgId() != dialect.MAVLINK_MSG_ID_RADIO_STATUS
+        if source[0] and source[1] and proven:
             (self._stations if from_station else self._vehicles).learn(source, arrival, now)
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_SETUP_SIGNING:
             return True
