@@ -584,6 +584,16 @@ def test_parameters_change_the_plan_at_run_time_and_bad_ones_are_refused(planner
     assert len(node.deployments) == 3
 
 
+def test_what_a_plan_from_scratch_is_worth_is_told_and_weighed_again(planner):
+    # Oracle: none of these parameters makes another plan by itself, and yet each change of one is an event.
+    node = planner()
+    node.send(GROUPS)
+    node.plan("5 devices joined")
+    for name, value in (("metre_cost", 0.5), ("tolerance", 0.25), ("replanning", "scratch")):
+        assert node.set(name, value).successful
+        node.plan(f"parameter {name} is now {value}")
+
+
 def test_the_operator_can_ask_for_a_plan(planner, graph):
     node = planner()
     node.send(GROUPS)

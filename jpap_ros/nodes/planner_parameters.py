@@ -90,7 +90,7 @@ def planner_parameters() -> tuple[Param, ...]:
     )
 
 
-#: Parameters whose change makes another plan.
+#: Parameters whose change may make another plan, or make a plan from scratch worth the flight.
 PLAN_PARAMETERS = frozenset(
     {
         "scheme",
@@ -103,6 +103,9 @@ PLAN_PARAMETERS = frozenset(
         "min_separation_m",
         "assignment",
         "time_limit_s",
+        "replanning",
+        "reoptimise",
+        *(item.name for item in fields(ReplanningPolicy)),
     }
 )
 
