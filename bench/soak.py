@@ -38,6 +38,13 @@ PADS_M = 25.0
 TAKEOFF_HEIGHT_M = 10.0
 FLIGHT_TIME_S = 1500.0
 BATTERY_SWAP_S = 180.0
+POLICY = FleetPolicy(
+    endurance_s=FLIGHT_TIME_S,
+    cruise_m_s=LIMITS.speed_m_s,
+    climb_m_s=LIMITS.vertical_speed_m_s,
+    arrival_radius_m=2.0,
+    station_above_m=LIMITS.planned_separation_m,
+)
 #: The bridge takes a link for lost after this long without a heartbeat [s].
 SILENT_AFTER_S = 4.0
 #: Below this an aircraft is not counted as in the air [m].
@@ -143,7 +150,7 @@ class World:
         }
         self.traffic = TrafficControl(LIMITS, waits_for_plans=True)
         self.tower = Tower(self.traffic, TAKEOFF_HEIGHT_M, LIMITS.max_altitude_m)
-        self.life = FleetLife(FleetPolicy(arrival_radius_m=2.0, station_above_m=LIMITS.planned_separation_m))
+        self.life = FleetLife(POLICY)
         self.plan: FleetPlan | None = None
         self.roster: Roster | None = None
         self.planned_for = 0
@@ -157,6 +164,8 @@ class World:
         self.told: dict[str, Device] = {}
         self.waiting_s = 0.0
         self.interrupted = 0
+        #: Hand-overs to a relief, and departures at the critical battery before there was one.
+        self.relieved = self.critical = 0
         self.uavs_s: list[int] = []
 
     # --- what happens
@@ -237,6 +246,8 @@ class World:
         cells = self.plan.cells if self.plan is not None else ()
         stations = {c.id: Station((*c.position, SETTINGS.link.altitude_m), len(c.device_ids)) for c in cells}
         self.roster = self.life.step(self.now, [self._vehicle(craft) for craft in self.fleet.values()], stations)
+        self.relieved += len(self.roster.relieved)
+        self.critical += sum("critical battery" in event for event in self.roster.events)
         for action in self.roster.actions:
             self._order(self.fleet[action.uav], action.order)
         if self.plan is None:
@@ -395,7 +406,7 @@ def live(name: str, options: argparse.Namespace, scratch: bool) -> float:
         if not warm and world.now >= options.warmup:
             warm = True
             world.served_s, world.present_s, world.latency_s, world.uavs_s, world.interrupted = {}, {}, [], [], 0
-            world.waiting_s = 0.0
+            world.waiting_s, world.relieved, world.critical = 0.0, 0, 0
             flown = sum(craft.flown_m for craft in world.fleet.values())
         world.step()
         steps += 1
@@ -413,6 +424,7 @@ def live(name: str, options: argparse.Namespace, scratch: bool) -> float:
         f" (present for a minute or more, n={len(share)}): median {np.median(share):.2%}, p5"
         f" {np.quantile(share, 0.05):.2%}, least {share.min():.2%}; re-plan p50 {p50:.1f} ms, p99 {p99:.1f} ms;"
         f" {metres / max(count, 1):.0f} m flown and {world.interrupted / max(count, 1):.2f} interruptions an event;"
+        f" {world.relieved} hand-overs to a relief, {world.critical} at the critical battery without;"
         f" {np.mean(world.uavs_s):.1f} UAVs in the air on average, {gone} crashed; least separation"
         f" {world.separation_m:.2f} m ({world.closest}); simulated in {time.perf_counter() - began:.0f} s",
         flush=True,

@@ -270,8 +270,9 @@ def test_aircraft_without_a_duty_are_told_of_too_when_they_go_and_come_back():
     fleet = [flying("a"), ground("b"), ground("c"), Vehicle("never")]
     assert life.step(0.0, fleet, {1: Station(HERE)}).events == ()
     fleet[1], fleet[2] = replace(fleet[1], link=Link.LOST), replace(fleet[2], yielded=True)
-    assert life.step(1.0, fleet, {1: Station(HERE)}).events == ()
-    assert life.step(1.0 + POLICY.lost_after_s, fleet, {1: Station(HERE)}).events == ("b is lost", "c was taken over")
+    # At once, though their duties would be given to others only later.
+    assert life.step(1.0, fleet, {1: Station(HERE)}).events == ("b is lost", "c was taken over")
+    assert life.step(1.0 + POLICY.lost_after_s, fleet, {1: Station(HERE)}).events == ()
     assert life.step(9.0, fleet, {1: Station(HERE)}).events == ()
     assert life.step(10.0, [flying("a"), ground("b"), ground("c")], {1: Station(HERE)}).events == (
         "b is back",
@@ -302,3 +303,68 @@ def test_a_tired_one_that_is_back_serves_until_its_heir_relieves_it():
     assert given.crew == {1: "b"}
     roster = life.step(9.0, fleet, {1: Station(HERE)})
     assert (roster.crew, roster.reliefs) == ({1: "a"}, {1: "b"})
+
+
+def test_a_short_loss_is_told_and_a_long_one_twice():
+    life = FleetLife(POLICY, crew={1: "a"})
+    lost, stations = flying("a", link=Link.LOST), {1: Station(HERE)}
+    assert life.step(0.0, [flying("a")], stations).events == ()
+    assert life.step(1.0, [lost], stations).events == ("a is lost",)
+    assert life.step(2.0, [flying("a")], stations).events == ("a is back",)
+    assert life.step(3.0, [lost], stations).events == ("a is lost",)
+    assert life.step(3.0 + POLICY.lost_after_s, [lost], stations).events == ("a has been lost for 5 s",)
+
+
+def test_low_is_told_when_a_relief_is_wanted():
+    # 1200 m at 8 m/s, 65 m up at 1.5 m/s: 193 s home, so critical at 193/1500 + 0.05 = 0.179; the relief from there
+    # needs 1.3 * 193 s + 45 s = 296 s more: low at 0.376.
+    life, station = FleetLife(POLICY, crew={1: "a"}), {1: Station((1200.0, 0.0, 50.0))}
+    pad = replace(ground("a"), position=(0.0, 0.0, 0.0))
+    relief = replace(pad, name="b")
+    life.step(0.0, [pad, relief], station)
+    over = replace(pad, in_air=True, position=(1200.0, 0.0, 50.0))
+    roster = life.step(50.0, [replace(over, battery=0.38), relief], station)
+    assert roster.events == () and roster.reliefs == {}
+    roster = life.step(51.0, [replace(over, battery=0.37), relief], station)
+    assert roster.events == ("a is low on battery", "b goes to relieve a") and roster.reliefs == {1: "b"}
+    assert life.step(52.0, [replace(over, battery=0.18), relief], station).crew == {1: "a"}
+    roster = life.step(53.0, [replace(over, battery=0.178), relief], station)
+    assert "a is at its critical battery" in roster.events and roster.crew == {1: "b"}
+
+
+def test_of_two_tired_ones_the_one_that_must_go_home_first_is_relieved_first():
+    life = FleetLife(POLICY, crew={1: "a", 2: "b"})
+    stations = {1: Station(HERE, 9.0), 2: Station(THERE, 1.0)}
+    fleet = [flying("a", HERE, battery=0.25), flying("b", THERE, battery=0.2), ground("c")]
+    # c is nearer to the first, and that is the heavier one.
+    assert life.step(0.0, fleet, stations).reliefs == {2: "c"}
+
+
+def test_a_cell_far_away_is_never_left_at_the_critical_battery():
+    """An hour, 1.3 km from the pads, with batteries for 600 s in the air (which the policy takes for 1500 s)."""
+    world, life = World(6), FleetLife(replace(POLICY, cruise_m_s=10.0, climb_m_s=5.0))
+    stations = {1: Station((1300.0, 0.0, 50.0))}
+    events = []
+    for second in range(3600):
+        roster = life.step(float(second), list(world.vehicles.values()), stations)
+        events += roster.events
+        world.act(roster, 1.0)
+    assert sum("relieves" in event for event in events) >= 6
+    assert not [event for event in events if "critical" in event]
+    assert min(vehicle.battery for vehicle in world.vehicles.values()) > 0.0
+
+
+def test_a_relief_s_cells_are_named_in_the_step_in_which_it_takes_over():
+    life = FleetLife(POLICY, crew={1: "a"})
+    waiting = (0.0, 0.0, 50.0 + POLICY.station_above_m)
+    fleet = [flying("a", battery=0.3), flying("b", waiting)]
+    assert life.step(0.0, fleet, {1: Station(HERE)}).relieved == ()
+    assert life.step(1.0, fleet, {1: Station(HERE)}).relieved == (1,)
+    assert life.step(2.0, fleet, {1: Station(HERE)}).relieved == ()
+
+
+def test_one_that_would_soon_be_tired_itself_relieves_nobody():
+    life = FleetLife(POLICY, crew={1: "a"})
+    near = flying("b", (20.0, 0.0, 50.0), battery=POLICY.ready_battery - 0.01)
+    fleet = [flying("a", battery=0.25), near, ground("c", 900.0)]
+    assert life.step(0.0, fleet, {1: Station(HERE)}).reliefs == {1: "c"}

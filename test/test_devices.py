@@ -216,6 +216,13 @@ def test_what_happens_to_aircraft_is_told_once():
     assert told(link=Link.CONNECTED, in_air=True, charge=Charge.LOW) == "u is low on battery"
 
 
+def test_where_the_fleet_s_life_tells_of_low_batteries_the_watch_does_not():
+    events = Events()
+    watch = AircraftWatch(low_battery=None)
+    assert watch.take(Vehicle("u", Link.CONNECTED, in_air=True, battery=0.1, charge=Charge.LOW), events)
+    assert str(events) == "u joined"
+
+
 def test_a_report_that_changes_nothing_is_no_event():
     events = Events()
     events.add_changes(Changes(faults=(Fault("a", "id", "is wrong"),)))

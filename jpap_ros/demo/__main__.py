@@ -31,6 +31,7 @@ from jpap_ros.demo.own_graph import own_graph
 from jpap_ros.demo.processes import ChildDied, Children
 from jpap_ros.demo.run import Failure, Run
 from jpap_ros.demo.scenario import Scenario, ScenarioError, load_scenario
+from jpap_ros.fleet.availability import FleetPolicy
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.planning import SCHEMES
@@ -121,13 +122,24 @@ def _start_nodes(
         **watchers,
         "sim": {"speedup": scenario.speedup, **scenario.sim},
         "bridge": scenario.bridge,
-        "planner": scenario.planner,
+        "planner": {**_hastened(scenario.speedup), **scenario.planner},
     }
     for name, parameters in settings.items():
         command = [str(programs / name), "--ros-args", "-p", f"fleet_file:={fleet_file}"]
         for key, value in parameters.items():
             command += ["-p", f"{key}:={json.dumps(value)}"]
         children.start(name, command)
+
+
+def _hastened(speedup: float) -> dict[str, float]:
+    """What the planner has to know of batteries and ways where simulated time runs faster than its clock."""
+    life, speedup = FleetPolicy(), max(speedup, 0.1)
+    return {
+        "endurance_s": life.endurance_s / speedup,
+        "cruise_m_s": life.cruise_m_s * speedup,
+        "climb_m_s": life.climb_m_s * speedup,
+        "relief_slack_s": life.relief_slack_s / speedup,
+    }
 
 
 def _scenario(options: argparse.Namespace, share: Path) -> Scenario:

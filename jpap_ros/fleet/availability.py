@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from enum import Enum
 
 from jpap_ros.fleet.assignment import OBJECTIVES, assign
+from jpap_ros.fleet.endurance import Endurance, EndurancePolicy
 from jpap_ros.fleet.transit_plan import Obstacle
 
 #: One that is back must be nearer to its former cell than its heir by so much [m].
@@ -63,17 +64,11 @@ class Vehicle:
 
 
 @dataclass(frozen=True)
-class FleetPolicy:
-    """When aircraft are relieved, sent home and given up.
+class FleetPolicy(EndurancePolicy):
+    """When aircraft are relieved (see EndurancePolicy too), sent home and given up.
 
     Attributes
     ----------
-    low_battery : float
-        Share at or below which an aircraft is relieved.
-    critical_battery : float
-        Share at or below which it goes home, relieved or not.
-    ready_battery : float
-        Share from which an aircraft on the ground may be launched.
     lost_after_s : float
         Time for which an aircraft may be silent or taken over before its cell is given to another [s].
     idle_return_s : float
@@ -84,8 +79,6 @@ class FleetPolicy:
         Time after which an aircraft that has not taken off for its cell is given up, for as long again [s].
     arrival_radius_m : float
         Distance from its station at which a relief is there [m].
-    station_above_m : float
-        How far above the cell's place the relief waits [m]; the planned separation of the transit or more.
     reserve_handicap_m : float
         Metres by which a reserve on the ground counts as farther away than it is.
     obstacle_radius_m : float
@@ -94,15 +87,11 @@ class FleetPolicy:
         Of `assign`.
     """
 
-    low_battery: float = 0.3
-    critical_battery: float = 0.15
-    ready_battery: float = 0.6
     lost_after_s: float = 5.0
     idle_return_s: float = 20.0
     repeat_s: float = 5.0
     launch_timeout_s: float = 120.0
     arrival_radius_m: float = 2.0
-    station_above_m: float = 12.0
     reserve_handicap_m: float = 200.0
     obstacle_radius_m: float = 5.0
     objective: str = "distance2"
@@ -114,11 +103,7 @@ class FleetPolicy:
                 raise ValueError(f"{item.name} must be finite and >= 0, got {value!r}")
         if self.objective not in OBJECTIVES:
             raise ValueError(f"objective must be one of {', '.join(OBJECTIVES)}, got {self.objective!r}")
-        if not self.critical_battery <= self.low_battery <= self.ready_battery <= 1:
-            raise ValueError(
-                "critical_battery <= low_battery <= ready_battery <= 1 must hold, got"
-                f" {self.critical_battery!r}, {self.low_battery!r}, {self.ready_battery!r}"
-            )
+        super().__post_init__()
 
 
 class Order(Enum):
@@ -167,6 +152,8 @@ class Roster:
         Where each aircraft of the two should be, (east, north, up) [m].
     actions : tuple of Action
         What to command now.
+    relieved : tuple of int
+        Cells that a relief has taken over now, from where it waited.
     uncrewed : tuple of int
         Cells for which there is no aircraft: their devices have to go to the neighbours.
     usable : int
@@ -185,6 +172,7 @@ class Roster:
     reliefs: Mapping[int, str]
     goals: Mapping[str, tuple[float, float, float]]
     actions: tuple[Action, ...]
+    relieved: tuple[int, ...]
     uncrewed: tuple[int, ...]
     usable: int
     free: tuple[str, ...]
@@ -211,11 +199,13 @@ class FleetLife:
     """
 
     def __init__(self, policy: FleetPolicy, crew: Mapping[int, str] | None = None) -> None:
-        #: May be replaced at any time.
+        #: Its objective may be replaced at any time.
         self.policy = policy
+        self._endurance = Endurance(policy)
         self._crew: dict[int, str] = dict(crew or {})
         self._reliefs: dict[int, str] = {}
         self._away_since: dict[str, float] = {}
+        self._told_absent: set[str] = set()
         self._given_up: set[str] = set()
         self._left: dict[str, int] = {}
         self._idle_since: dict[str, float] = {}
@@ -244,14 +234,14 @@ class FleetLife:
         """
         self._events = []
         fleet = {vehicle.name: vehicle for vehicle in vehicles}
-        self._observe(now_s, fleet)
+        self._observe(now_s, fleet, stations)
         self._dismiss(now_s, fleet, stations)
-        self._take_back(fleet, stations)
-        self._hand_over(fleet, stations)
+        self._take_back(now_s, fleet, stations)
+        relieved = self._hand_over(fleet, stations)
         free = [vehicle for vehicle in vehicles if self._is_free(now_s, vehicle)]
         self._fill(free, stations)
         free = [vehicle for vehicle in free if vehicle.name not in self._crew.values()]
-        self._send_reliefs(free, stations)
+        self._send_reliefs(now_s, fleet, free, stations)
         goals = {uav: stations[cell].position for cell, uav in self._crew.items()}
         goals |= {uav: self._waiting_place(stations[cell]) for cell, uav in self._reliefs.items()}
         free = [vehicle for vehicle in vehicles if self._is_free(now_s, vehicle)]
@@ -260,6 +250,7 @@ class FleetLife:
             reliefs=dict(self._reliefs),
             goals=goals,
             actions=self._actions(now_s, fleet),
+            relieved=relieved,
             uncrewed=tuple(cell for cell in stations if cell not in self._crew),
             usable=len(self._crew) + len(free),
             free=tuple(vehicle.name for vehicle in free),
@@ -272,8 +263,14 @@ class FleetLife:
             events=tuple(self._events),
         )
 
-    def _observe(self, now_s: float, fleet: Mapping[str, Vehicle]) -> None:
+    def _observe(self, now_s: float, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> None:
         """Keep what a single report does not say: since when, and whether it was tired before."""
+        places = {uav: stations[cell].position for cell, uav in self._crew.items() if cell in stations}
+        reliefs = [
+            vehicle.position
+            for vehicle in fleet.values()
+            if vehicle.position is not None and self._is_free(now_s, vehicle) and self._is_charged(vehicle)
+        ]
         for name, vehicle in fleet.items():
             if _obeys(vehicle):
                 self._away_since.pop(name, None)
@@ -282,31 +279,39 @@ class FleetLife:
             self._note_absence(now_s, vehicle)
             if vehicle.link is not Link.CONNECTED:
                 continue
+            self._endurance.observe(now_s, name, vehicle.in_air, vehicle.battery, vehicle.position)
+            low = self.policy.low_battery
+            if name in places:
+                low = self._endurance.low(now_s, name, vehicle.battery, places[name], reliefs)
             # A battery recovers a little when the load falls; tired is tired until it stands on the ground.
-            if self._is_low(vehicle):
+            if self._is_low(vehicle, low):
+                if vehicle.in_air and name not in self._tired:
+                    self._events.append(f"{name} is low on battery")
                 self._tired.add(name)
             elif not vehicle.in_air:
                 self._tired.discard(name)
 
     def _note_absence(self, now_s: float, vehicle: Vehicle) -> None:
-        """Tell when an aircraft without a duty is given up, and when any comes back."""
+        """Tell at once when an aircraft does not obey any more, and when it is back; act on it only after a while."""
         name = vehicle.name
         if _obeys(vehicle):
-            if name in self._given_up:
-                self._given_up.remove(name)
+            self._given_up.discard(name)
+            if name in self._told_absent:
+                self._told_absent.remove(name)
                 self._events.append(f"{name} is back")
-            return
-        reason = self._absent(now_s, vehicle)
-        if reason and name not in self._given_up and vehicle.link is not Link.NEVER_SEEN:
-            self._given_up.add(name)
-            if name not in (*self._crew.values(), *self._reliefs.values()):
-                self._events.append(f"{name} {reason}")
+        elif vehicle.link is not Link.NEVER_SEEN:
+            if name not in self._told_absent:
+                self._told_absent.add(name)
+                self._events.append(f"{name} {'was taken over' if vehicle.link is Link.CONNECTED else 'is lost'}")
+            if self._absent(now_s, vehicle):
+                self._given_up.add(name)
 
     def _absent(self, now_s: float, vehicle: Vehicle) -> str:
         """In which way an aircraft has not obeyed for too long; empty if it has."""
         if _obeys(vehicle) or now_s - self._away_since.get(vehicle.name, now_s) < self.policy.lost_after_s:
             return ""
-        return "was taken over" if vehicle.link is Link.CONNECTED else "is lost"
+        how = "taken over" if vehicle.link is Link.CONNECTED else "lost"
+        return f"has been {how} for {self.policy.lost_after_s:g} s"
 
     def _dismiss(self, now_s: float, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> None:
         """Take those off their cells that cannot or need not serve them any more."""
@@ -319,7 +324,7 @@ class FleetLife:
         }
         for duty in (self._crew, self._reliefs):
             for cell, name in list(duty.items()):
-                if reason := self._unfit(now_s, fleet.get(name), name):
+                if reason := self._unfit(now_s, fleet.get(name), name, stations.get(cell)):
                     self._events.append(f"{name} {reason}")
                     if duty is self._crew and name in self._given_up:
                         self._left[name] = cell
@@ -330,7 +335,7 @@ class FleetLife:
             if cell in stations:
                 self._crew[cell] = relief
 
-    def _unfit(self, now_s: float, vehicle: Vehicle | None, name: str) -> str:
+    def _unfit(self, now_s: float, vehicle: Vehicle | None, name: str, station: Station | None) -> str:
         """Why an aircraft cannot stay on duty; empty where it can."""
         if vehicle is None:
             return "is not in the fleet"
@@ -338,7 +343,7 @@ class FleetLife:
             return reason
         if not _obeys(vehicle):
             return ""
-        if self._is_critical(vehicle):
+        if self._is_critical(now_s, vehicle, station):
             return "is at its critical battery"
         if not vehicle.in_air and name in self._flown and not vehicle.busy:
             # Nobody wanted that: whoever comes down from its station by itself is not sent up again at once.
@@ -351,7 +356,7 @@ class FleetLife:
             return "has not taken off"
         return ""
 
-    def _take_back(self, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> None:
+    def _take_back(self, now_s: float, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> None:
         """Give one that is back the cell that it had lost, if whoever got that is not there yet."""
         for name, cell in list(self._left.items()):
             vehicle = fleet.get(name)
@@ -363,20 +368,23 @@ class FleetLife:
                 place, heir = stations[cell].position, self._crew.get(cell)
                 nearer = _distance(vehicle, place) < _distance(fleet.get(heir or ""), place) - _NEARER_M
                 on_duty = name in (*self._crew.values(), *self._reliefs.values())
-                if nearer and not on_duty and not self._is_critical(vehicle):
+                if nearer and not on_duty and not self._is_critical(now_s, vehicle, stations[cell]):
                     self._events.append(f"{name} takes cell {cell} back")
                     self._crew[cell] = name
                     if heir is not None and name in self._tired:
                         self._reliefs[cell] = heir
 
-    def _hand_over(self, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> None:
-        """Change the roles of a tired aircraft and its relief once that one is in place."""
+    def _hand_over(self, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> tuple[int, ...]:
+        """Change the roles of a tired aircraft and its relief once that one is in place; return the cells concerned."""
+        relieved = []
         for cell, relief in list(self._reliefs.items()):
             if self._crew[cell] not in self._tired:
                 del self._reliefs[cell]
             elif self._is_at(fleet[relief], self._waiting_place(stations[cell])):
                 self._events.append(f"{relief} relieves {self._crew[cell]}")
                 self._crew[cell] = self._reliefs.pop(cell)
+                relieved.append(cell)
+        return tuple(relieved)
 
     def _is_at(self, vehicle: Vehicle, place: tuple[float, float, float]) -> bool:
         if vehicle.position is None or not vehicle.in_air or vehicle.busy or not _obeys(vehicle):
@@ -386,18 +394,28 @@ class FleetLife:
     def _fill(self, free: Sequence[Vehicle], stations: Mapping[int, Station]) -> None:
         """Give cells without an aircraft one of those that are free."""
         places = {cell: station.position for cell, station in stations.items() if cell not in self._crew}
-        for cell, name in self._nearest(free, places, stations).items():
+        weights = {cell: stations[cell].weight for cell in places}
+        for cell, name in self._nearest(free, places, weights).items():
             self._crew[cell] = name
             self._events.append(f"{name} takes cell {cell}")
 
-    def _send_reliefs(self, free: Sequence[Vehicle], stations: Mapping[int, Station]) -> None:
-        """Send one of those that are free to each tired aircraft that has no relief yet."""
+    def _send_reliefs(
+        self, now_s: float, fleet: Mapping[str, Vehicle], free: Sequence[Vehicle], stations: Mapping[int, Station]
+    ) -> None:
+        """Send one of those that are free to each tired aircraft without a relief: first to who must go home first."""
         places = {
             cell: self._waiting_place(stations[cell])
             for cell, name in self._crew.items()
             if name in self._tired and cell not in self._reliefs
         }
-        for cell, name in self._nearest(free, places, stations).items():
+        weights = {
+            cell: 1.0 / (1.0 + self._endurance.left_s(now_s, name, fleet[name].battery, stations[cell].position))
+            for cell, name in self._crew.items()
+            if cell in places
+        }
+        # One that would soon be tired itself is no relief, even if it flies already.
+        charged = [vehicle for vehicle in free if self._is_charged(vehicle)]
+        for cell, name in self._nearest(charged, places, weights).items():
             self._reliefs[cell] = name
             self._events.append(f"{name} goes to relieve {self._crew[cell]}")
 
@@ -405,14 +423,14 @@ class FleetLife:
         self,
         free: Sequence[Vehicle],
         places: Mapping[int, tuple[float, float, float]],
-        stations: Mapping[int, Station],
+        weights: Mapping[int, float],
     ) -> dict[int, str]:
         chosen = assign(
             [place[:2] for place in places.values()],
             [vehicle.position[:2] for vehicle in free if vehicle.position is not None],
             objective=self.policy.objective,
             handicap_m=[0.0 if vehicle.in_air else self.policy.reserve_handicap_m for vehicle in free],
-            weights=[stations[cell].weight for cell in places],
+            weights=[weights[cell] for cell in places],
         )
         return {cell: free[k].name for cell, k in zip(places, chosen.tolist(), strict=True) if k >= 0}
 
@@ -448,18 +466,23 @@ class FleetLife:
             return False
         if vehicle.in_air:
             return True
-        charged = math.isnan(vehicle.battery) or vehicle.battery >= self.policy.ready_battery
-        return charged and now_s >= self._barred_until.get(vehicle.name, now_s)
+        return self._is_charged(vehicle) and now_s >= self._barred_until.get(vehicle.name, now_s)
+
+    def _is_charged(self, vehicle: Vehicle) -> bool:
+        return math.isnan(vehicle.battery) or vehicle.battery >= self.policy.ready_battery
 
     def _waiting_place(self, station: Station) -> tuple[float, float, float]:
         east, north, up = station.position
         return east, north, up + self.policy.station_above_m
 
-    def _is_low(self, vehicle: Vehicle) -> bool:
-        return vehicle.battery <= self.policy.low_battery or vehicle.charge in (Charge.LOW, Charge.CRITICAL)
+    def _is_low(self, vehicle: Vehicle, low: float) -> bool:
+        return vehicle.battery <= low or vehicle.charge in (Charge.LOW, Charge.CRITICAL)
 
-    def _is_critical(self, vehicle: Vehicle) -> bool:
-        return vehicle.battery <= self.policy.critical_battery or vehicle.charge is Charge.CRITICAL
+    def _is_critical(self, now_s: float, vehicle: Vehicle, station: Station | None) -> bool:
+        critical = self.policy.critical_battery
+        if station is not None:
+            critical = self._endurance.critical(now_s, vehicle.name, vehicle.battery, station.position)
+        return vehicle.battery <= critical or vehicle.charge is Charge.CRITICAL
 
 
 def _distance(vehicle: Vehicle | None, place: tuple[float, float, float]) -> float:

@@ -67,11 +67,11 @@ class AircraftWatch:
 
     Parameters
     ----------
-    low_battery : float
-        Share at or below which a battery is low.
+    low_battery : float or None
+        Share at or below which a battery is low; None: the fleet's life tells that, when it wants a relief.
     """
 
-    def __init__(self, low_battery: float) -> None:
+    def __init__(self, low_battery: float | None) -> None:
         self._low_battery = low_battery
         self._heard: set[str] = set()
         self._in_air: set[str] = set()
@@ -83,8 +83,7 @@ class AircraftWatch:
         if vehicle.link is not Link.CONNECTED:
             return False
         joined = name not in self._heard
-        low = vehicle.battery <= self._low_battery or vehicle.charge in (Charge.LOW, Charge.CRITICAL)
-        tired = vehicle.in_air and low and name not in self._tired
+        tired = vehicle.in_air and self._is_low(vehicle) and name not in self._tired
         landed = not vehicle.in_air and name in self._in_air
         if joined:
             events.add_aircraft(name)
@@ -101,3 +100,8 @@ class AircraftWatch:
             self._in_air.discard(name)
             self._tired.discard(name)
         return joined or tired or landed
+
+    def _is_low(self, vehicle: Vehicle) -> bool:
+        if self._low_battery is None:
+            return False
+        return vehicle.battery <= self._low_battery or vehicle.charge in (Charge.LOW, Charge.CRITICAL)

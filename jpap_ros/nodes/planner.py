@@ -115,7 +115,7 @@ class PlannerNode(ManagedNode):
         self._outputs = PlannerOutputs(self, self._fleet.names)
         self._made.callback(self._outputs.close)
         self._restore()
-        self._watch = AircraftWatch(self._settings["low_battery"])
+        self._watch = AircraftWatch(None if self._settings["manage_fleet"] else self._settings["low_battery"])
         self._roster = None
         if self._settings["manage_fleet"]:
             crew = self._health.plan.names if self._health.plan is not None else {}

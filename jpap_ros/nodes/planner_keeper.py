@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from jpap_msgs.msg import VehicleState
@@ -131,7 +131,7 @@ def vehicle_of(name: str, state: VehicleState | None, sent_home: bool) -> Vehicl
 
 def fleet_policy(values: Mapping[str, Any]) -> FleetPolicy:
     """Fleet policy of parameter values by name; StartError if they contradict each other."""
-    names = ("low_battery", "critical_battery", "ready_battery", "lost_after_s", "idle_return_s")
+    names = {item.name for item in fields(FleetPolicy)} & values.keys()
     try:
         return FleetPolicy(objective=values["assignment"], **{name: values[name] for name in names})
     except ValueError as error:
