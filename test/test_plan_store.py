@@ -26,7 +26,7 @@ DEVICES = (
 def stored(tmp_path):
     """Return the file and the plan in it."""
     plan = plan_from_scratch(DEVICES, SETTINGS, FLEET)
-    save_plan(tmp_path / "deep" / "plan.json", ORIGIN, 17, DEVICES, SETTINGS, plan)
+    save_plan(tmp_path / "deep" / "plan.json", ORIGIN, 17, DEVICES, SETTINGS, plan, {"a": 3}, {"u5"})
     return tmp_path / "deep" / "plan.json", plan
 
 
@@ -38,6 +38,14 @@ def test_what_is_read_is_what_was_written_to_the_last_bit(stored):
     assert again.cells == plan.cells and again.names == plan.names
     assert dict(again.unserved) == dict(plan.unserved) and again.uavs_needed == plan.uavs_needed
     assert again.live.next_id == plan.live.next_id
+    assert (read.stamps, read.sent_home) == ({"a": 3}, {"u5"})
+
+
+def test_a_file_without_stamps_and_those_sent_home_is_read_too(stored):
+    path = stored[0]
+    path.write_text(damaged(lambda c: (c.pop("stamps"), c.pop("sent_home")))(path.read_text()))
+    read = load_plan(path, ORIGIN)
+    assert (read.plan_id, read.stamps, read.sent_home) == (17, {}, frozenset())
 
 
 def test_planning_goes_on_as_if_nothing_had_happened(stored):

@@ -47,6 +47,7 @@ def good() -> PlannerHealth:
         ({"active": False}, DiagnosticStatus.OK, "inactive"),
         ({"failure": "boom"}, DiagnosticStatus.ERROR, "boom; mend that, then call planner/replan"),
         ({"ignored": 3}, DiagnosticStatus.WARN, "of 3 devices are wrong and ignored: mend their sender"),
+        ({"bridge_silent_s": 12.3}, DiagnosticStatus.WARN, "bridge silent: no aircraft's state for 12 s"),
         ({"available": 1}, DiagnosticStatus.WARN, "2 UAVs are needed, 1 are available: make more ready"),
     ],
 )

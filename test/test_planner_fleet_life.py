@@ -4,11 +4,18 @@ The test stands in for the bridge: it says what every aircraft does and serves t
 runs low or a link is lost exactly when the test wants it. Oracle: the rules of the fleet's life, worked by hand.
 """
 
+import json
+import signal
+
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, PoseStamped
 from jpap_msgs.msg import Deployment, Device, DeviceUpdate, FleetCommandResult, VehicleState
 from jpap_msgs.srv import FleetCommand
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
 
 from jpap_ros.nodes.qos import DEVICES, LATCHED
 
@@ -38,6 +45,7 @@ class BridgeByHand:
         }
         self.goals = {}
         self.silent = set()
+        self.rounds = 0
         node = graph.node
         self._out = {name: node.create_publisher(VehicleState, f"{name}/state", LATCHED) for name in UAVS}
         for name in UAVS:
@@ -71,16 +79,23 @@ class BridgeByHand:
         return response
 
     def _report(self):
+        self.rounds += 1
         for name, state in self.states.items():
             if name not in self.silent:
                 self._out[name].publish(state)
 
 
+def cells(deployment):
+    """What a deployment asks of each aircraft."""
+    return {c.uav: (c.goal_pose, list(c.device_ids), list(c.power_w)) for c in deployment.cells}
+
+
 class World:
     """The planner with the test's bridge."""
 
-    def __init__(self, graph, process):
-        self.graph, self.process = graph, process
+    def __init__(self, graph, start, rate):
+        self.graph, self._start, self._rate = graph, start, rate
+        self.process = start()
         self.deployments = graph.collect(Deployment, "deployment", LATCHED)
         self.bridge = BridgeByHand(graph)
         self._devices = graph.publisher(DeviceUpdate, "devices", DEVICES)
@@ -89,10 +104,18 @@ class World:
         message = DeviceUpdate(departed=list(departed))
         message.header.frame_id = "map"
         message.devices = [
-            Device(id=n, position=Point(x=DEVICES_AT[n][0], y=DEVICES_AT[n][1]), rate_demand=16.0, weight=1.0)
+            Device(id=n, position=Point(x=DEVICES_AT[n][0], y=DEVICES_AT[n][1]), rate_demand=self._rate, weight=1.0)
             for n in names
         ]
         self._devices.publish(message)
+
+    def restart(self):
+        """Kill the planner and start it again."""
+        self.process.stop(signal.SIGKILL)
+        self.process = self._start()
+
+    def said(self, words):
+        self.wait(lambda: words in self.process.output, words)
 
     def crew(self):
         """Aircraft by the device that it serves, as the newest deployment says."""
@@ -118,12 +141,12 @@ class World:
 def world(graph, start_node, tmp_path):
     """Return a function that starts the planner with the test's bridge."""
 
-    def start(**parameters):
+    def start(rate=16.0, **parameters):
         uavs = [{"name": n, "sysid": i, "url": f"udpin:127.0.0.1:{14000 + i}"} for i, n in enumerate(UAVS, 1)]
         fleet = {"version": 1, "origin": {"latitude": 0.0, "longitude": 0.0}, "uavs": uavs}
         (tmp_path / "fleet.yaml").write_text(yaml.safe_dump(fleet))
         settings = {"fleet_file": str(tmp_path / "fleet.yaml"), "manage_fleet": True, "reoptimise": False}
-        return World(graph, start_node("planner", {**settings, **parameters}))
+        return World(graph, lambda: start_node("planner", {**settings, **parameters}), rate)
 
     return start
 
@@ -168,7 +191,9 @@ def test_a_tired_aircraft_leaves_only_when_its_relief_is_on_station(world):
     assert here.crew()["west"] == tired and ("return_home", tired) not in here.bridge.orders
     here.wait(lambda: here.crew()["west"] != tired, "the change of roles")
     relief = here.crew()["west"]
-    assert f"{relief} relieves {tired}" in " ".join(d.reason for d in here.deployments)
+    reasons = " ".join(d.reason for d in here.deployments)
+    assert f"{relief} relieves {tired}" in reasons and f"{tired} is low on battery" in reasons
+    assert not any(d.interrupted for d in here.deployments), "16 bit/s/Hz are met from 65 m as well"
     here.wait(lambda: tired in here.bridge.ordered("return_home"), "the tired one to be sent home")
     # In order: the relief took off before the tired one was sent home.
     assert here.bridge.orders.index(("launch", relief)) < here.bridge.orders.index(("return_home", tired))
@@ -227,3 +252,130 @@ def test_batteries_in_the_wrong_order_stop_it_with_one_line(start_node):
     process = start_node("planner", {"manage_fleet": True, "low_battery": 0.1, "critical_battery": 0.2})
     assert process.wait() == 1
     assert len(process.output.strip().splitlines()) == 1 and "critical_battery" in process.output
+
+
+def test_devices_that_a_relief_cannot_serve_from_above_are_named(world):
+    # Equation (3) with 10 W, straight below: 21.93 bit/s/Hz from 50 m, 21.17 from 65 m.
+    here = world(rate=21.5)
+    crew = here.served()
+    here.bridge.states[crew["west"]].battery_remaining = 0.25
+    here.wait(lambda: here.crew()["west"] != crew["west"], "the change of roles")
+    changes = [d for d in here.deployments if "relieves" in d.reason]
+    assert [list(d.interrupted) for d in changes] == [["west"]]
+
+
+def test_a_short_loss_is_told_and_changes_nothing(world):
+    here = world(lost_after_s=600.0)
+    crew, before = here.served(), here.deployments[-1]
+    here.bridge.states[crew["west"]].link = VehicleState.LINK_LOST
+    here.wait(lambda: f"{crew['west']} is lost" in here.deployments[-1].reason, "the news of the loss")
+    here.bridge.states[crew["west"]].link = VehicleState.LINK_CONNECTED
+    here.wait(lambda: f"{crew['west']} is back" in here.deployments[-1].reason, "the news that it is back")
+    assert cells(here.deployments[-1]) == cells(before)
+
+
+def test_a_planner_killed_while_it_manages_the_fleet_moves_nobody(world, tmp_path):
+    here = world(state_file=str(tmp_path / "plan.json"))
+    here.served()
+    before, count, orders = here.deployments[-1], len(here.deployments), list(here.bridge.orders)
+    here.restart()
+    here.wait(lambda: len(here.deployments) > count, "a plan of the restarted planner")
+    assert "planner restarted" in here.deployments[count].reason
+    # Beyond the first looks at the fleet's life.
+    here.graph.spin(1.5)
+    assert all(cells(d) == cells(before) for d in here.deployments[count:])
+    stored = json.loads((tmp_path / "plan.json").read_text())
+    assert set(stored["names"].values()) == set(here.crew().values())
+    assert here.bridge.orders == orders
+
+
+def test_a_planner_killed_together_with_its_bridge_waits_until_aircraft_are_heard(world, tmp_path):
+    here = world(state_file=str(tmp_path / "plan.json"))
+    here.served()
+    before, count, orders = here.deployments[-1], len(here.deployments), list(here.bridge.orders)
+    # A bridge that has just started says this of everybody first.
+    for state in here.bridge.states.values():
+        state.link = VehicleState.LINK_NEVER_SEEN
+    here.graph.spin(0.5)
+    here.restart()
+    here.said("listening to")
+    here.graph.spin(1.0)
+    for state in here.bridge.states.values():
+        state.link = VehicleState.LINK_CONNECTED
+    here.wait(lambda: len(here.deployments) > count, "a plan of the restarted planner")
+    here.graph.spin(1.5)
+    assert all(cells(d) == cells(before) for d in here.deployments[count:])
+    assert here.bridge.orders == orders
+
+
+def test_whom_the_planner_sent_home_is_launched_again_by_the_one_after_it(world, tmp_path):
+    here = world(idle_return_s=1.0, state_file=str(tmp_path / "plan.json"))
+    crew = here.served()
+    back = crew["west"]
+    here.send(departed=["west"])
+    here.wait(lambda: back in here.bridge.ordered("return_home"), "its return")
+    here.wait(lambda: back in json.loads((tmp_path / "plan.json").read_text())["sent_home"], "that to be kept")
+    for name in set(UAVS) - set(crew.values()):
+        here.bridge.states[name].link = VehicleState.LINK_LOST
+    count = len(here.deployments)
+    here.restart()
+    here.wait(lambda: len(here.deployments) > count, "a plan of the restarted planner")
+    assert here.bridge.states[back].goal_state == VehicleState.GOAL_YIELDED
+    here.send(["west"])
+    here.wait(lambda: here.crew().get("west") == back, "a cell for it")
+    here.wait(lambda: here.bridge.ordered("launch").count(back) == 2, "its second launch")
+
+
+def test_a_bridge_that_falls_silent_is_told_and_costs_nobody_his_cell(world):
+    here = world(lost_after_s=1.0)
+    crew, told = here.served(), here.bridge.rounds
+    # What the bridge said last is how things are: nobody is believed to be on the ground still.
+    here.wait(lambda: here.bridge.rounds >= told + 2, "reports of the present states")
+    count, orders = len(here.deployments), list(here.bridge.orders)
+    here.bridge.silent = set(UAVS)
+    here.said("bridge silent: no aircraft's state for")
+    here.graph.spin(2.0)
+    here.bridge.silent = set()
+    here.said("the bridge is heard again")
+    here.graph.spin(1.5)
+    assert here.crew() == crew and here.bridge.orders == orders
+    assert not any("lost" in d.reason for d in here.deployments[count:])
+
+
+@pytest.mark.parametrize(("height_m", "starts"), [(64.0, False), (70.0, True)])
+def test_where_the_fence_leaves_no_room_above_a_cell_for_its_relief_that_is_refused(
+    graph, start_node, tmp_path, height_m, starts
+):
+    fleet = {"version": 1, "origin": {"latitude": 0.0, "longitude": 0.0}, "fence": {"max_height_m": height_m}}
+    fleet["uavs"] = [{"name": "uav1", "sysid": 1, "url": "udpin:127.0.0.1:14001"}]
+    (tmp_path / "fleet.yaml").write_text(yaml.safe_dump(fleet))
+    process = start_node("planner", {"fleet_file": str(tmp_path / "fleet.yaml"), "manage_fleet": True})
+    rule = f"altitude_m + station_above_m must not exceed the fence's max_height_m ({height_m:g} m)"
+    if not starts:
+        assert process.wait() == 1 and rule in process.output
+        return
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=56.0)
+    request = SetParameters.Request(parameters=[Parameter(name="altitude_m", value=value)])
+    answer = graph.call(SetParameters, "planner/set_parameters", request).results[0]
+    assert not answer.successful and answer.reason.startswith(f"{rule}, got 71 m")
+
+
+@pytest.mark.parametrize(("separation_m", "told"), [(15.0, False), (18.0, True)])
+def test_a_bridge_that_would_hold_every_relief_is_told_of(world, graph, separation_m, told):
+    bridge = Node("bridge", context=graph.node.context)
+    bridge.declare_parameter("min_separation_m", separation_m)
+    graph.add_node(bridge)
+    said = graph.collect(DiagnosticArray, "/diagnostics", 10)
+    here = world(station_above_m=15.0)
+    here.served()
+
+    def problem():
+        return "start the planner with station_above_m 18 or more" in said[-1].status[0].message
+
+    if told:
+        here.wait(lambda: said and problem(), "the diagnostic")
+        here.said("the bridge's min_separation_m is 18 m")
+    else:
+        graph.spin(2.0)
+        assert said and not problem()
+    bridge.destroy_node()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,10 @@ class StoredPlan:
     live : LivePlan
     names : mapping of int to str
         Aircraft of each cell.
+    stamps : mapping of str to int
+        Stamp of the newest report of each device [ns]; 0 where that had none.
+    sent_home : frozenset of str
+        Aircraft that the planner, and nobody else, has sent home since they were launched.
     """
 
     plan_id: int
@@ -44,6 +48,8 @@ class StoredPlan:
     settings: PlanSettings
     live: LivePlan
     names: Mapping[int, str]
+    stamps: Mapping[str, int] = field(default_factory=dict)
+    sent_home: frozenset[str] = frozenset()
 
     def plan(self, aircraft: Sequence[Aircraft]) -> FleetPlan:
         """Return the plan for a fleet; a cell whose aircraft is not in it any more has none."""
@@ -58,9 +64,18 @@ class StoredPlan:
 
 
 def save_plan(
-    path: Path, origin: MapOrigin, plan_id: int, devices: Sequence[Device], settings: PlanSettings, plan: FleetPlan
+    path: Path,
+    origin: MapOrigin,
+    plan_id: int,
+    devices: Sequence[Device],
+    settings: PlanSettings,
+    plan: FleetPlan,
+    stamps: Mapping[str, int] | None = None,
+    sent_home: Iterable[str] = (),
 ) -> None:
     """Replace the file at once, so that a kill at any moment leaves the old one or the new one.
+
+    Parameters are those of `StoredPlan`.
 
     Raises
     ------
@@ -78,6 +93,8 @@ def save_plan(
         "unserved": dict(plan.unserved),
         "next_id": plan.live.next_id,
         "uavs_needed": plan.uavs_needed,
+        "stamps": dict(stamps or {}),
+        "sent_home": sorted(sent_home),
     }
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -142,4 +159,7 @@ def _stored(content: Mapping[str, Any], origin: MapOrigin) -> StoredPlan:
     ):
         raise ValueError(broken[0])
     names = {int(cell): str(name) for cell, name in content["names"].items()}
-    return StoredPlan(int(content["plan_id"]), table.devices, settings, live, names)
+    # Files of before these were kept are read as well.
+    stamps = {str(name): int(stamp) for name, stamp in content.get("stamps", {}).items()}
+    sent_home = frozenset(map(str, content.get("sent_home", ())))
+    return StoredPlan(int(content["plan_id"]), table.devices, settings, live, names, stamps, sent_home)

@@ -14,30 +14,34 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from jpap_msgs.msg import DeviceUpdate, GeoDeviceUpdate, VehicleState
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from jpap_ros.fleet.availability import Roster
+from jpap_ros.fleet.bridge_watch import BridgeWatch
 from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.fleet.events import AircraftWatch, Events
 from jpap_ros.fleet.plan import SLOW_SCHEMES, PlanSettings, Weighed, with_crew
 from jpap_ros.fleet.plan_store import PlanStoreError, StoredPlan, load_plan, save_plan
+from jpap_ros.fleet.relief import short_from_above
 from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.nodes import planner_conversions as conversions
 from jpap_ros.nodes.debounce import Debounce
 from jpap_ros.nodes.lifecycle import ManagedNode
-from jpap_ros.nodes.parameters import declare, values
+from jpap_ros.nodes.parameters import StartError, declare, values
 from jpap_ros.nodes.planner_diagnostics import PlannerHealth
 from jpap_ros.nodes.planner_intake import DeviceIntake
 from jpap_ros.nodes.planner_jobs import EventJob, WeighJob
-from jpap_ros.nodes.planner_keeper import FleetKeeper, fleet_policy, vehicle_of
+from jpap_ros.nodes.planner_keeper import FleetKeeper, fleet_policy, relief_problem, vehicle_of
 from jpap_ros.nodes.planner_outputs import PlannerOutputs
 from jpap_ros.nodes.planner_parameters import (
     PLAN_PARAMETERS,
@@ -101,6 +105,11 @@ class PlannerNode(ManagedNode):
         self._settle_by_s = -math.inf
         self._keeper: FleetKeeper | None = None
         self._roster: Roster | None = None
+        #: Cells that a relief has taken over since the last plan.
+        self._relieved: set[int] = set()
+        self._bridge = BridgeWatch(time.monotonic())
+        #: What the state file says, to keep it up to date between two plans.
+        self._stored: tuple[Sequence[Device], PlanSettings, frozenset[str]] | None = None
         self._planned_for = 0
         self._made = ExitStack()
 
@@ -115,12 +124,19 @@ class PlannerNode(ManagedNode):
         self._outputs = PlannerOutputs(self, self._fleet.names)
         self._made.callback(self._outputs.close)
         self._restore()
-        self._watch = AircraftWatch(None if self._settings["manage_fleet"] else self._settings["low_battery"])
+        manages = self._settings["manage_fleet"]
+        self._watch = AircraftWatch(None if manages else self._settings["low_battery"])
+        self._bridge = BridgeWatch(time.monotonic())
         self._roster = None
-        if self._settings["manage_fleet"]:
+        if manages:
+            if problem := relief_problem(self._settings, self._fleet):
+                raise StartError(problem)
             crew = self._health.plan.names if self._health.plan is not None else {}
-            self._keeper = FleetKeeper(self, self._fleet.names, fleet_policy(self._settings), crew)
+            sent_home = self._restored.sent_home if self._restored is not None else ()
+            self._keeper = FleetKeeper(self, self._fleet.names, fleet_policy(self._settings), crew, sent_home)
             self._made.callback(self._keeper.close)
+            self.add_on_set_parameters_callback(self._refuse)
+            self._made.callback(self.remove_on_set_parameters_callback, self._refuse)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._made.callback(self.destroy_publisher, self._diagnostics_out)
         self._subscribe(DeviceUpdate, "devices", self._on_devices, DEVICES)
@@ -155,7 +171,7 @@ class PlannerNode(ManagedNode):
             return
         if stored is None:
             return
-        self._intake.restore(stored.devices)
+        self._intake.restore(stored.devices, stored.stamps)
         self._health.plan_id, self._planned_with = stored.plan_id, stored.settings
         self._health.plan = stored.plan(self._all_aircraft())
         self._restored = stored
@@ -164,11 +180,21 @@ class PlannerNode(ManagedNode):
     def _settled(self) -> bool:
         """Whether planning may begin: after a restart, once every aircraft has said what it follows, or some time."""
         restored = self._restored
-        if restored is None:
-            return True
-        if len(self._states) < len(self._fleet.names) and time.monotonic() < self._settle_by_s:
-            return False
-        self._restored = None
+        if restored is not None:
+            # A bridge that has just started has heard of nobody yet.
+            heard = sum(state.link == VehicleState.LINK_CONNECTED for state in self._states.values())
+            if heard < len(self._fleet.names) and time.monotonic() < self._settle_by_s:
+                return False
+            self._restored = None
+            self._go_on_from(restored)
+        if self._keeper is not None and self._roster is None:
+            # Without it no aircraft could be given a cell.
+            for event in self._keep_fleet(self._health.plan).events:
+                self._events.add(event)
+        return True
+
+    def _go_on_from(self, restored: StoredPlan) -> None:
+        """Keep the plan of the state file in force, by other names if it is out of date."""
         if self._health.plan_id > restored.plan_id:
             news = f"aircraft follow plan {self._health.plan_id}, newer than plan {restored.plan_id} of the state file"
             self.get_logger().warning(f"{news}: its cells go to whoever is nearest")
@@ -176,14 +202,15 @@ class PlannerNode(ManagedNode):
             self._health.plan = restored.renamed(self._all_aircraft())
             if self._keeper is not None:
                 self._keeper.forget_crew()
-        return True
 
     def _store(self, plan: FleetPlan, devices: Sequence[Device], settings: PlanSettings) -> None:
         if not self._settings["state_file"]:
             return
-        path = Path(self._settings["state_file"])
+        path, stamps = Path(self._settings["state_file"]), self._intake.stamps
+        sent_home = self._keeper.sent_home if self._keeper is not None else frozenset[str]()
+        self._stored = devices, settings, sent_home
         try:
-            save_plan(path, self._fleet.origin, self._health.plan_id, devices, settings, plan)
+            save_plan(path, self._fleet.origin, self._health.plan_id, devices, settings, plan, stamps, sent_home)
         except PlanStoreError as error:
             self.get_logger().error(str(error), throttle_duration_sec=60.0)
 
@@ -210,7 +237,8 @@ class PlannerNode(ManagedNode):
         self._events, self._early = Events(), Events()
         self._states.clear()
         self._health = PlannerHealth(plan_id=self._health.plan_id)
-        self._weighed = self._planned_with = self._restored = None
+        self._weighed = self._planned_with = self._restored = self._stored = None
+        self._relieved.clear()
 
     def destroy_node(self) -> None:
         """Stop planning and leave the graph."""
@@ -231,6 +259,11 @@ class PlannerNode(ManagedNode):
             self._touch()
 
     def _on_state(self, name: str, state: VehicleState) -> None:
+        now = time.monotonic()
+        if self._health.bridge_silent_s:
+            self.get_logger().info(f"the bridge is heard again after {self._bridge.silent_s(now):.0f} s")
+            self._health.bridge_silent_s = 0.0
+        self._bridge.hear(now)
         before = self._aircraft(name)
         self._states[name] = state
         after = self._aircraft(name)
@@ -247,6 +280,10 @@ class PlannerNode(ManagedNode):
         if happened:
             self._answer_fleet(news)
 
+    def _bridge_silent_s(self, now_s: float) -> float:
+        """How long the bridge has been silent [s]; 0 where there may be none, as far as known."""
+        return self._bridge.silent_s(now_s) if self._states or self._keeper is not None else 0.0
+
     def _answer_fleet(self, news: Events) -> None:
         """Plan anew for what happened to aircraft; without a plan there is nothing to change."""
         if self._health.plan is None and self._in_work is None and not self._events:
@@ -261,11 +298,14 @@ class PlannerNode(ManagedNode):
         """Look after the fleet; plan anew where its life changes what can be served."""
         if not self.active or self._restored is not None:
             return
+        assert self._keeper is not None
         roster, plan = self._keep_fleet(self._health.plan), self._health.plan
         news = list(roster.events)
         changed = roster.usable != self._planned_for
         if plan is not None and changed and (plan.uavs_needed > len(plan.cells) or roster.usable < len(plan.cells)):
             news.append(f"{roster.usable} aircraft are usable")
+        if plan is not None and self._stored is not None and self._keeper.sent_home != self._stored[2]:
+            self._store(plan, *self._stored[:2])
         if news:
             told = Events()
             for event in news:
@@ -275,8 +315,14 @@ class PlannerNode(ManagedNode):
     def _keep_fleet(self, plan: FleetPlan | None) -> Roster:
         assert self._keeper is not None
         altitude_m = self._settings["altitude_m"]
-        self._roster = self._keeper.step(self._states, plan, self._intake.devices, altitude_m)
+        now_s = self._bridge.clock(time.monotonic())
+        self._roster = self._keeper.step(now_s, self._states, plan, self._intake.devices, altitude_m)
+        self._relieved.update(self._roster.relieved)
         return self._roster
+
+    def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:
+        problem = relief_problem({**self._settings, **{p.name: p.value for p in parameters}}, self._fleet)
+        return SetParametersResult(successful=problem is None, reason=problem or "")
 
     def _on_parameters(self, changed: dict[str, Any]) -> None:
         self._settings = values(self, self._params)
@@ -305,14 +351,21 @@ class PlannerNode(ManagedNode):
             self.get_logger().info(f"no report for {timeout_s:g} s, taken as left: {conversions.listed(silent)}")
             self._events.add_silent(len(silent))
             self._touch()
-        health = self._health
+        health, now = self._health, time.monotonic()
+        silent_s = self._bridge_silent_s(now)
+        if silent_s and not health.bridge_silent_s:
+            self.get_logger().warning(
+                f"bridge silent: no aircraft's state for {silent_s:.0f} s; nobody is given up for it"
+            )
+        health.bridge_silent_s = silent_s
+        health.relief_problem = self._keeper.problem if self._keeper is not None else ""
         health.active = self.active
         health.pending = self._in_work is not None or bool(self._events)
         health.devices, health.ignored = len(self._intake.devices), self._intake.ignored
         health.faults = self._intake.faults
         health.fleet = len(self._fleet.names)
         health.available = sum(craft.available for craft in self._all_aircraft())
-        status = health.status(f"{self.get_fully_qualified_name()}: deployment", time.monotonic())
+        status = health.status(f"{self.get_fully_qualified_name()}: deployment", now)
         self._diagnostics_out.publish(DiagnosticArray(header=self._header(), status=[status]))
 
     # Planning
@@ -474,6 +527,9 @@ class PlannerNode(ManagedNode):
             roster = self._keep_fleet(plan)
             plan = with_crew(plan, roster.crew)
             reliefs = {name: roster.goals[name] for name in roster.reliefs.values()}
+            short = short_from_above(plan, self._relieved, settings.link, self._settings["station_above_m"])
+            plan = replace(plan, interrupted={**plan.interrupted, **short})
+            self._relieved.clear()
             reason = ", ".join([reason, *(event for event in roster.events if event not in reason)])
         # What anybody was told must survive a kill.
         self._store(plan, devices, settings)
@@ -559,4 +615,6 @@ def make_planner() -> PlannerNode:
 
 def main() -> None:
     """Run the planner as a process."""
+    # Events are answered while the worker computes: they wait for the interpreter this long, not the usual 5 ms.
+    sys.setswitchinterval(5e-4)
     sys.exit(run(make_planner))

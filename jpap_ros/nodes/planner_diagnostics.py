@@ -39,6 +39,10 @@ class PlannerHealth:
         Wrong reports so far.
     available, fleet : int
         UAVs that can take a cell, and all.
+    relief_problem : str
+        Why no aircraft could be relieved, and what to do about it; empty where they can be.
+    bridge_silent_s : float
+        How long no aircraft's state has come [s]; 0 if the bridge is well, or nobody has ever heard of one.
     """
 
     active: bool = False
@@ -54,10 +58,19 @@ class PlannerHealth:
     faults: int = 0
     available: int = 0
     fleet: int = 0
+    relief_problem: str = ""
+    bridge_silent_s: float = 0.0
 
     def problems(self) -> list[str]:
         """Everything that an operator should look at, in words, and what to do about it."""
         problems = []
+        if self.bridge_silent_s:
+            problems.append(
+                f"bridge silent: no aircraft's state for {self.bridge_silent_s:.0f} s, what is known of them is old: "
+                "start the bridge, or mend the network to it"
+            )
+        if self.relief_problem:
+            problems.append(self.relief_problem)
         if self.plan is not None and self.plan.unserved:
             problems.append(f"{len(self.plan.unserved)} devices are not served (the deployment says why)")
         if self.plan is not None and self.plan.uavs_needed > self.available:
