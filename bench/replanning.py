@@ -27,6 +27,8 @@ from jpap_ros.planning.replanning_state import Demands, Limits, LivePlan
 
 LIMITS = TransitLimits(min_separation_m=10.0, tracking_error_m=1.0)
 SIDE_M = 1500.0
+#: What rounding may take from a distance [m].
+ROUNDING_M = 1e-6
 
 
 def sampled_track(plan: TransitPlan, step_s: float = 0.2) -> np.ndarray:
@@ -50,7 +52,7 @@ def sampled_separation(track: np.ndarray, obstacles: list[Obstacle]) -> float:
 
 
 def transitions(count: int) -> None:
-    """Print the least separation of random transitions, relative to what is allowed."""
+    """Print the least separation of random transitions, relative to what is allowed; fail if it is less."""
     rng = np.random.default_rng(0)
     worst, straight_below, held, aircraft, excess, times = math.inf, 0, 0, 0, 0.0, []
     for _ in range(count):
@@ -84,6 +86,8 @@ def transitions(count: int) -> None:
         f" straight flights would have broken it in {straight_below} ({straight_below / count:.0%});"
         f" planning p50 {np.median(times) * 1e3:.1f} ms, p99 {np.quantile(times, 0.99) * 1e3:.1f} ms"
     )
+    if worst < -ROUNDING_M:
+        raise SystemExit(f"a transition came {-worst:.2g} m nearer than is allowed")
 
 
 def spaced(rng: np.random.Generator, count: int, side: float, spacing: float) -> np.ndarray:
