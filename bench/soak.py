@@ -25,6 +25,7 @@ from jpap_ros.fleet.plan import PlanSettings, full_deployment, plan_change, plan
 from jpap_ros.fleet.tower import Tower, Turn
 from jpap_ros.fleet.traffic import TrafficControl, Traveller
 from jpap_ros.fleet.transit_plan import TransitLimits
+from jpap_ros.mavlink.autopilots.ardupilot import ArduPilot
 from jpap_ros.planning.devices import Device
 from jpap_ros.planning.replanning_decision import ReplanningPolicy
 
@@ -47,6 +48,8 @@ POLICY = FleetPolicy(
 )
 #: The bridge takes a link for lost after this long without a heartbeat [s].
 SILENT_AFTER_S = 4.0
+#: With its last velocity an aircraft flies on for so long when it hears nothing more, braking included [s].
+RUNS_ON_S = ArduPilot.keeps_velocity_s
 #: Below this an aircraft is not counted as in the air [m].
 AIRBORNE_M = 2.0
 
@@ -78,12 +81,21 @@ class Craft:
     homing: bool = False
     landed_at: float = -math.inf
     silent_until: float = -math.inf
+    #: Whether it hears nothing either while it is silent.
+    deaf: bool = False
     heard_at: float = 0.0
+    heard_place: tuple[float, float, float] = field(init=False)
+    #: Way that it flies on by itself, from its last setpoint on [m], and its velocity there [m/s].
+    runs_on_m: float = 0.0
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     pilot_until: float = -math.inf
     flown_m: float = 0.0
     #: Powers by device that it transmits with, and those it changes to as soon as that serves as many [W].
     powers: dict[str, float] = field(default_factory=dict)
     wanted: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.heard_place = self.place
 
     @property
     def in_air(self) -> bool:
@@ -102,7 +114,21 @@ class Craft:
 
     def follows(self, now: float) -> bool:
         """Whether it really does."""
-        return self.phase is Phase.FLY and now >= self.silent_until and now >= self.pilot_until
+        deaf = self.deaf and now < self.silent_until
+        return self.phase is Phase.FLY and not deaf and now >= self.pilot_until
+
+    def follow(self, place: tuple[float, float, float], velocity: tuple[float, float, float], ahead_m: float) -> None:
+        """Be at a setpoint, whose leg has so much left."""
+        self.place, self.velocity = place, velocity
+        self.runs_on_m = min(math.hypot(*velocity) * RUNS_ON_S, ahead_m)
+
+    def run_on(self) -> None:
+        """Hear no setpoint: fly on as the last one said, and no farther than the end of its leg."""
+        if self.runs_on_m > 0.0:
+            speed = math.hypot(*self.velocity)
+            step_m = min(speed * STEP_S, self.runs_on_m)
+            east, north, up = (x + v / speed * step_m for x, v in zip(self.place, self.velocity, strict=True))
+            self.place, self.runs_on_m = (east, north, up), self.runs_on_m - step_m
 
 
 @dataclass(frozen=True)
@@ -173,7 +199,7 @@ class World:
     def befall(self, event: Happening) -> bool:
         """Let it happen; True if it is an event for the planner."""
         if event.kind in ("silence", "pilot", "crash"):
-            flying = [craft for craft in self.fleet.values() if craft.follows(self.now)]
+            flying = [c for c in self.fleet.values() if c.follows(self.now) and self.now >= c.silent_until]
             if flying:
                 self._fail(flying[int(event.draw * len(flying))], event)
             return False
@@ -199,9 +225,9 @@ class World:
 
     def _fail(self, craft: Craft, event: Happening) -> None:
         if event.kind == "silence":
-            craft.silent_until = self.now + 5.0 + 55.0 * event.draw
+            craft.silent_until, craft.deaf = self.now + 5.0 + 55.0 * event.draw, event.place[0] < SIDE_M / 2
         elif event.kind == "pilot":
-            craft.pilot_until = self.now + 60.0
+            craft.pilot_until, craft.runs_on_m = self.now + 60.0, 0.0
         else:
             craft.phase, craft.powers, craft.wanted = Phase.GONE, {}, {}
             self._leave(craft)
@@ -274,7 +300,7 @@ class World:
             craft.name,
             link=Link.CONNECTED if craft.connected(self.now) else Link.LOST,
             in_air=craft.in_air,
-            position=craft.place,
+            position=craft.heard_place,
             battery=craft.battery,
             yielded=self.now < craft.pilot_until,
             busy=craft.phase in (Phase.CLIMB, Phase.DESCEND) or craft.homing,
@@ -290,10 +316,13 @@ class World:
             if craft.phase is Phase.GONE:
                 continue
             if self.now >= craft.silent_until:
-                craft.heard_at = self.now
+                craft.heard_at, craft.heard_place = self.now, craft.place
             goal = self.tower.waiting_place(craft.turn) if craft.homing and craft.turn else goals.get(craft.name)
             obeys = craft.obeys(self.now)
-            travellers[craft.name] = Traveller(craft.place, obeys, craft.in_air, goal, craft.heard_at)
+            heard = craft.connected(self.now)
+            travellers[craft.name] = Traveller(
+                craft.heard_place, obeys, craft.in_air, goal, craft.heard_at, heard, RUNS_ON_S
+            )
         self.traffic.step(self.now, travellers)
         before = {craft.name: craft.place for craft in self.fleet.values() if craft.in_air}
         self.now += STEP_S
@@ -321,12 +350,15 @@ class World:
             if craft.place[2] == 0.0:
                 craft.phase, craft.homing, craft.landed_at = Phase.GROUND, False, self.now
                 self._leave(craft)
-        elif craft.follows(self.now):
-            setpoint = self.traffic.setpoint(craft.name, self.now)
-            craft.place = here if setpoint is None else setpoint.position
+        elif craft.phase is Phase.FLY and self.now >= craft.pilot_until:
+            setpoint = self.traffic.setpoint(craft.name, self.now) if craft.follows(self.now) else None
+            if setpoint is None:
+                craft.run_on()
+            else:
+                craft.follow(setpoint.position, setpoint.velocity, setpoint.ahead_m)
             place = self.tower.waiting_place(craft.turn) if craft.homing else None
             there = place is not None and math.dist(craft.place, place) < 0.1
-            if there and self.tower.may_land(craft.turn, craft.place, self.now) is None:
+            if there and craft.hears(self.now) and self.tower.may_land(craft.turn, craft.place, self.now) is None:
                 craft.phase = Phase.DESCEND
         if craft.in_air:
             craft.battery = max(craft.battery - STEP_S / FLIGHT_TIME_S, 0.0)

@@ -364,3 +364,49 @@ def test_while_the_target_moves_an_echo_nearby_is_of_it() -> None:
     assert rig.goal[0] is GoalState.SENT, "that is somewhere else"
     echo(rig, 50.0, east_m=8.0)
     assert rig.goal[0] is GoalState.ACCEPTED
+
+
+def test_after_a_lost_link_nothing_is_sent_and_nobody_reckons_with_it_before_it_says_where_it_is() -> None:
+    """Oracle: the issue's rule that unclear state makes an aircraft hold; where it was is not where it is."""
+    rig = Rig().launched()
+    rig.aircraft.under_traffic_control = True
+    rig.position(6.5)
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.aircraft.setpoint = Setpoint((6.5, 0.0, 50.0))
+    rig.run(1.0, position=False)
+    assert rig.aircraft.traveller().obeys and rig.targets
+    for _ in range(270):
+        rig.now += 0.1
+        rig.aircraft.tick(rig.now)
+    lost = rig.aircraft.traveller()
+    assert not lost.obeys and not lost.heard and lost.flies
+    rig.aircraft.setpoint = None  # traffic control has dismissed it
+    rig.wire.clear()
+    rig.run(2.0, position=False)
+    assert not rig.aircraft.traveller().obeys and rig.aircraft.traveller().heard
+    assert rig.targets == []
+    assert rig.goal == (GoalState.NONE, "waiting: its position is not known")
+    rig.position(60.0)
+    back = rig.aircraft.traveller()
+    assert back.obeys and back.position == pytest.approx((60.0, 0.0, 50.0), abs=0.1)
+
+
+def test_a_position_from_just_before_the_link_came_back_does_not_count() -> None:
+    rig = Rig().launched()
+    rig.aircraft.under_traffic_control = True
+    for _ in range(50):
+        rig.now += 0.1
+        rig.aircraft.tick(rig.now)
+    rig.position(6.5)
+    rig.now += 0.1
+    rig.heartbeat()
+    assert not rig.aircraft.traveller().obeys
+    rig.position(6.5)
+    assert rig.aircraft.traveller().obeys
+
+
+def test_a_gap_in_positions_takes_nobody_out_of_traffic_control() -> None:
+    rig = Rig().launched()
+    rig.aircraft.setpoint = Setpoint((0.0, 0.0, 50.0))
+    rig.run(10.0, position=False)
+    assert rig.aircraft.traveller().obeys

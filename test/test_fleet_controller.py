@@ -32,6 +32,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import LinkUrl
 from jpap_ros.fleet.fence import Fence
+from jpap_ros.fleet.transit_plan import TransitLimits
 from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder, OrderResult
 from jpap_ros.mavlink.goals import Goal, GoalState
@@ -264,3 +265,17 @@ def test_ground_stations_are_told_in_words_by_the_aircrafts_onboard_computer(rig
 def test_an_own_system_id_that_is_a_vehicles_is_refused(rig: Rig) -> None:
     with pytest.raises(ValueError, match="sysid 1 is that of uav1"):
         FleetController(rig.fleet(), ControllerSettings(sysid=1))
+
+
+def test_one_that_was_left_in_the_air_and_is_silent_keeps_its_place(rig: Rig) -> None:
+    fleet = rig.mixed(a={"home_m": (0.0, 0.0)}, gone={"home_m": (500.0, 0.0)})
+    rig.fly(replace(fleet, uavs=fleet.uavs[:1]))
+    controller = rig.control(
+        fleet, ControllerSettings(traffic=TransitLimits(min_separation_m=10.0, tracking_error_m=2.0))
+    )
+    controller.resume([], {"gone": ((60.0, 0.0, 30.0), (140.0, 0.0, 30.0)), "sold": ((0.0, 0.0, 10.0),)})
+    assert order(controller, FleetOrder.LAUNCH, ("a",))["a"].success
+    controller.set_goal("a", Goal(100.0, 0.0, 30.0))
+    held = rig.watch.until("a", lambda s: "no separated path" in s.goal_reason)
+    assert "gone" in held.goal_reason
+    assert rig.watch.now("gone").line_m == ((60.0, 0.0, 30.0), (140.0, 0.0, 30.0)), "for the one after this"

@@ -13,7 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from test_aircraft import GUIDED, LOITER, ORIGIN, Rig
 
-from jpap_ros.mavlink.flown_file import SUCCESSION_S, FlownFile, FlownFileError
+from jpap_ros.mavlink.flown_file import PLACES_EVERY_S, SUCCESSION_S, FlownFile, FlownFileError, Left
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.mavlink.resumption import resume
@@ -22,29 +22,63 @@ from jpap_ros.mavlink.resumption import resume
 class TestFlownFile:
     def test_the_next_one_reads_what_was_written_last(self, tmp_path: Path) -> None:
         path = tmp_path / "deep" / "flown.json"
-        assert FlownFile(path).read() == ()
+        assert FlownFile(path).read() == Left()
         mine = FlownFile(path)
-        mine.write(["uav2", "uav1"])
-        mine.write(["uav1"])
-        assert FlownFile(path).read() == ("uav1",)
+        mine.write(["uav2", "uav1"], {})
+        line = ((1.5, -2.0, 50.0), (80.0, 0.0, 50.0))
+        mine.write(["uav1"], {"uav2": line})
+        assert FlownFile(path).read() == Left(("uav1",), {"uav2": line})
         assert [entry.name for entry in path.parent.iterdir()] == ["flown.json"], "no draft is left behind"
 
     def test_without_news_it_is_not_written_again(self, tmp_path: Path) -> None:
         mine = FlownFile(tmp_path / "flown.json")
-        mine.write(["uav1"])
+        mine.write(["uav1"], {"uav1": ((0.0, 0.0, 50.0),)})
         (tmp_path / "flown.json").unlink()
-        mine.write(["uav1"])
+        mine.write(["uav1"], {"uav1": ((0.0, 0.0, 50.0),)})
         assert not (tmp_path / "flown.json").exists()
+
+    def test_places_are_written_now_and_then_and_a_departure_at_once(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        now = [100.0]
+        monkeypatch.setattr(time, "monotonic", lambda: now[0])
+        path = tmp_path / "flown.json"
+        mine = FlownFile(path)
+        mine.write(["uav1"], {"uav1": ((0.0, 0.0, 50.0),)})
+        setting_out = {"uav1": ((0.0, 0.0, 50.0), (100.0, 0.0, 50.0))}
+        mine.write(["uav1"], setting_out)
+        assert FlownFile(path).read().in_air == setting_out
+        on_its_way = {"uav1": ((8.0, 0.0, 50.0), (100.0, 0.0, 50.0))}
+        mine.write(["uav1"], on_its_way)
+        assert FlownFile(path).read().in_air == setting_out, "not at every position"
+        now[0] += PLACES_EVERY_S
+        mine.write(["uav1"], on_its_way)
+        assert FlownFile(path).read().in_air == on_its_way
+        path.unlink()
+        now[0] += PLACES_EVERY_S
+        mine.write(["uav1"], {"uav1": ((8.5, 0.0, 50.0), (100.0, 0.0, 50.0))})
+        assert not path.exists(), "half a metre is the wind"
 
     @pytest.mark.parametrize("age_s", [SUCCESSION_S + 5.0, -60.0])
     def test_an_old_file_or_one_from_the_future_is_not_believed(self, tmp_path: Path, age_s: float) -> None:
         path = tmp_path / "flown.json"
-        path.write_text(json.dumps({"version": 1, "written_at": time.time() - age_s, "flown": ["uav1"]}))
+        path.write_text(json.dumps({"version": 2, "written_at": time.time() - age_s, "flown": ["uav1"], "in_air": {}}))
         with pytest.raises(FlownFileError, match=r"flown\.json.*bridge/launch for uav1"):
             FlownFile(path).read()
 
     @pytest.mark.parametrize(
-        "text", ["{", "[]", '{"version": 2, "written_at": 0, "flown": []}', '{"version": 1, "written_at": 0}']
+        "text",
+        [
+            "{",
+            "[]",
+            '{"version": 1, "written_at": 0, "flown": [], "in_air": {}}',
+            '{"version": 2, "written_at": 0, "in_air": {}}',
+            '{"version": 2, "written_at": 0, "flown": []}',
+            '{"version": 2, "written_at": 0, "flown": [], "in_air": []}',
+            '{"version": 2, "written_at": 0, "flown": [], "in_air": {"uav1": []}}',
+            '{"version": 2, "written_at": 0, "flown": [], "in_air": {"uav1": [[0, 0, NaN]]}}',
+            '{"version": 2, "written_at": 0, "flown": [], "in_air": {"uav1": [[0, 0]]}}',
+        ],
     )
     def test_a_damaged_file_is_named(self, tmp_path: Path, text: str) -> None:
         path = tmp_path / "flown.json"
@@ -55,7 +89,7 @@ class TestFlownFile:
     def test_a_file_that_cannot_be_written_is_an_error(self, tmp_path: Path) -> None:
         (tmp_path / "file").write_text("")
         with pytest.raises(FlownFileError, match="cannot be written"):
-            FlownFile(tmp_path / "file" / "flown.json").write(["uav1"])
+            FlownFile(tmp_path / "file" / "flown.json").write(["uav1"], {})
 
 
 def resumed(rig: Rig) -> Rig:
@@ -126,3 +160,27 @@ def test_who_is_not_heard_is_given_up_in_the_end() -> None:
     rig.flying()
     rig.run(2.0)
     assert rig.targets == []
+
+
+def test_who_was_left_in_the_air_is_there_until_it_says_itself_where_it_is() -> None:
+    line = ((10.0, 0.0, 50.0), (90.0, 0.0, 50.0))
+    rig = Rig()
+    rig.aircraft.left_m = line
+    silent = rig.aircraft.traveller()
+    assert silent.flies and not silent.obeys and not silent.heard
+    assert (silent.position, silent.way) == (line[0], line[1:])
+    assert rig.aircraft.line_m == line, "killed once more, the next one knows too"
+    rig.heartbeat()
+    assert rig.aircraft.traveller().flies and rig.aircraft.traveller().position == line[0]
+    rig.flying()
+    heard = rig.aircraft.traveller()
+    assert heard.position == pytest.approx((0.0, 0.0, 50.0), abs=0.1) and heard.way == ()
+    assert rig.aircraft.left_m == ()
+
+
+def test_who_was_left_in_the_air_and_is_found_on_the_ground_is_in_nobodys_way() -> None:
+    rig = Rig()
+    rig.aircraft.left_m = ((10.0, 0.0, 50.0),)
+    rig.hear(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, 3, 0x01, GUIDED, 3, 3))
+    assert not rig.aircraft.traveller().flies
+    assert rig.aircraft.line_m == ()

@@ -283,3 +283,106 @@ def test_one_that_hovers_a_hair_from_its_goal_holds_up_nobody(control: TrafficCo
     world = World(control, {"a": (0.0, 0.0, 50.0001), "b": (100.0, 0.0, 50.0)})
     world.goals = {"a": (0.0, 0.0, 50.0), "b": (100.0, 40.0, 50.0)}
     assert world.run(world.at_goals, limit_s=60.0)
+
+
+#: As ArduPilot: how long it keeps the velocity of its last target, braking included [s].
+RUNS_ON_S = 4.6
+SILENT_AFTER_S = 4.0
+
+
+class Silence:
+    """An aircraft whose link is lost at a moment: what it does is told here, not asked of traffic control."""
+
+    def __init__(self, world: World, name: str, deaf: bool) -> None:
+        self.world, self.name, self.deaf = world, name, deaf
+        self.since, self.last_heard = world.now, world.places[name]
+        self.velocity, self.left_m = (0.0, 0.0, 0.0), 0.0
+
+    def step(self) -> None:
+        """As World.step, with this one unheard, and lost after the time-out; then it runs on, not past its leg."""
+        world, name = self.world, self.name
+        lost = world.now - self.since > SILENT_AFTER_S
+        fleet = {
+            other: Traveller(place, True, True, world.goals[other], world.now) for other, place in world.places.items()
+        }
+        fleet[name] = Traveller(
+            self.last_heard, not lost, True, world.goals[name], self.since, heard=not lost, runs_on_s=RUNS_ON_S
+        )
+        world.control.step(world.now, fleet)
+        world.now += STEP_S
+        for other in world.places:
+            setpoint = world.control.setpoint(other, world.now)
+            if other != name:
+                assert setpoint is not None
+                world.places[other] = setpoint.position
+            elif setpoint is None or (self.deaf and world.now > self.since + STEP_S):
+                speed = math.hypot(*self.velocity)
+                share = 0.0 if speed == 0.0 else min(speed * STEP_S, self.left_m) / speed
+                x, y, z = (p + share * v for p, v in zip(world.places[name], self.velocity, strict=True))
+                world.places[name], self.left_m = (x, y, z), self.left_m - share * speed
+            else:
+                self.velocity = setpoint.velocity
+                self.left_m = min(math.hypot(*self.velocity) * RUNS_ON_S, setpoint.ahead_m)
+                world.places[name] = setpoint.position
+        pairs = combinations(world.places.values(), 2)
+        world.nearest = min([world.nearest, *(math.dist(a, b) for a, b in pairs)])
+
+
+@pytest.mark.parametrize("deaf", [True, False])
+@pytest.mark.parametrize("moment_s", [1.0, 6.0, 11.0, 16.0])
+def test_one_that_falls_silent_on_its_way_is_kept_clear_of_wherever_it_runs_on_to(deaf: bool, moment_s: float) -> None:
+    limits = TransitLimits(min_separation_m=10.0, tracking_error_m=1.0, speed_m_s=8.0, acceleration_m_s2=1.5)
+    control = TrafficControl(limits, waits_for_plans=True)
+    try:
+        world = World(control, {"silent": (0.0, 0.0, 50.0), "other": (110.0, 60.0, 50.0), "third": (60.0, -60.0, 50.0)})
+        world.goals = {"silent": (300.0, 0.0, 50.0), "other": None, "third": None}
+        world.run(lambda: False, moment_s)
+        silence = Silence(world, "silent", deaf)
+        while world.now < moment_s + SILENT_AFTER_S + 0.5:
+            silence.step()
+        line = control.lost("silent")
+        assert line[0] == pytest.approx(silence.last_heard, abs=limits.speed_m_s * STEP_S)
+        # Others are sent to places ahead of it, where it would be run into if it were thought to have stopped.
+        ahead = world.places["silent"][0]
+        world.goals["other"] = (ahead + 25.0, 0.0, 50.0)
+        world.goals["third"] = (ahead - 20.0, 60.0, 50.0)
+        while world.now < moment_s + 60.0:
+            silence.step()
+        assert line[0][0] - 1.0 <= world.places["silent"][0] <= line[-1][0] + 1e-6, "it is on the line that is closed"
+        assert world.nearest >= 10.0 - 1e-6
+        # Heard again, it is where it says, and the rest of the line is free.
+        world.step()
+        world.step()
+        assert control.lost("silent") == ()
+    finally:
+        control.close()
+
+
+def test_one_that_was_told_to_stop_and_hears_nothing_is_expected_on_the_way_it_was_on(control: TrafficControl) -> None:
+    world = World(control, {"a": (0.0, 0.0, 50.0)})
+    world.goals = {"a": (400.0, 0.0, 50.0)}
+    world.run(lambda: world.places["a"][0] > 100.0)
+    silence = Silence(world, "a", deaf=True)
+    world.goals["a"] = (100.0, 200.0, 50.0)
+    while world.now - silence.since < SILENT_AFTER_S + 0.5:
+        silence.step()
+    line = np.array(control.lost("a"))
+    # Deaf, it flies on eastwards at cruising speed, whatever it has been told since.
+    assert line[:, 0].max() >= silence.last_heard[0] + LIMITS.speed_m_s * RUNS_ON_S
+
+
+def test_a_pilots_aircraft_is_where_it_says(control: TrafficControl) -> None:
+    world = World(control, {"a": (0.0, 0.0, 50.0), "b": (200.0, 0.0, 50.0)})
+    world.goals = {"a": (400.0, 0.0, 80.0), "b": None}
+    world.run(lambda: world.places["a"][0] > 50.0)
+    world.obeys["a"] = False
+    world.step()
+    assert control.lost("a") == ()
+
+
+def test_who_was_left_on_a_line_by_somebody_else_keeps_others_off_it(control: TrafficControl) -> None:
+    left = Traveller((0.0, 0.0, 50.0), False, True, heard=False, way=((100.0, 0.0, 50.0),))
+    fleet = {"left": left, "a": Traveller((60.0, 60.0, 50.0), True, True, (60.0, 0.0, 50.0), 0.0)}
+    for step in range(20):
+        control.step(step * STEP_S, fleet)
+    assert "left" in control.held("a")

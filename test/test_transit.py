@@ -347,9 +347,20 @@ def test_those_that_follow_closely_fly_slowly_enough_to_stop():
         (lambda: TransitLimits(speed_m_s=0), "speed_m_s must be > 0, got 0"),
         (lambda: TransitLimits(max_altitude_m=10), "max_altitude_m is 10, below min_altitude_m 20.0"),
         (lambda: TransitLimits(tracking_error_m=math.inf), "tracking_error_m must be a finite number, got inf"),
-        (lambda: Obstacle("x", (0, 0, math.inf)), "obstacle x: position, bottom_m and radius_m must be finite"),
+        (lambda: Obstacle("x", (0, 0, math.inf)), "obstacle x: position, bottom_m, radius_m and way must be finite"),
     ],
 )
 def test_bad_input_is_named(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_a_line_on_which_somebody_may_be_is_closed_with_the_air_below_it():
+    silent = Obstacle("silent", (0, 0, 50), radius_m=5.0, way=((40, 0, 50), (40, 30, 60)))
+    # By hand: 20 m beside the first leg and 30 m below it; above the middle of the second, 55 m high there.
+    for place, distance in (((20, -20, 20), 20.0), ((60, 15, 30), 20.0), ((40, 30, 75), 15.0)):
+        assert polyline_distance(np.array([place], float), silent.column) == pytest.approx(distance, abs=0.5)
+    # Columns below the line are no farther apart than the radius: from between two of them it is half of that.
+    assert polyline_distance(np.array([[22.5, 0.0, 20.0]]), silent.column) == pytest.approx(2.5)
+    plan = plan_transit({"a": (20, -40, 45)}, {"a": (20, 40, 45)}, LIMITS, [silent])
+    assert minimum_separation(plan, [silent]) >= LIMITS.min_separation_m

@@ -47,6 +47,12 @@ class Traveller:
         Where it should be [m]; None: where it is.
     heard_at : float
         When it said where it is, on the clock of `step` [s].
+    heard : bool
+        Its link is there. One whose link is lost flies on along its way, unseen.
+    runs_on_s : float
+        For how long it then flies on with its last velocity, braking included [s].
+    way : tuple of (east, north, up)
+        Corners of the line that it may have flown on along from `position` [m], if somebody else sent it there.
     """
 
     position: Vector | None
@@ -54,6 +60,9 @@ class Traveller:
     flies: bool
     goal: Vector | None = None
     heard_at: float = -math.inf
+    heard: bool = True
+    runs_on_s: float = 0.0
+    way: tuple[Vector, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,6 +93,18 @@ class _Flight:
     #: What each member wanted when the way was planned; some may end short of it, for want of a free way.
     wanted: Mapping[str, Vector | None]
     braking: bool = False
+
+    def __post_init__(self) -> None:
+        self._begun = self.convoy, self.started
+
+    def line(self, name: str, since: float, until: float) -> list[Vector]:
+        """Corners of a member's way between two moments [m], as it was begun: one that hears nothing does not brake."""
+        convoy, started = self._begun
+        index = convoy.names.index(name)
+        ends = started + np.cumsum([law.duration_s for law in convoy.laws])
+        corners = map(_vector, convoy.waypoints[1:, index][(since < ends) & (ends < until)])
+        first, last = (convoy.place(index, moment - started)[0] for moment in (since, until))
+        return [first, *corners, last]
 
     def ended(self, now: float) -> bool:
         return now - self.started >= self.convoy.duration_s
@@ -150,6 +171,10 @@ class TrafficControl:
         self._flights: list[_Flight] = []
         self._aboard: dict[str, _Flight] = {}
         self._turned: set[str] = set()
+        #: Ways that each was given since it last said where it is; the first may be older.
+        self._ways: dict[str, list[_Flight]] = {}
+        #: Those that fell silent on their way: where they may be, and when they last said where they are.
+        self._lost: dict[str, tuple[Obstacle, float]] = {}
         self._columns: dict[str, Obstacle] = {}
         self._released: set[str] = set()
         self._held: dict[str, str] = {}
@@ -177,6 +202,7 @@ class TrafficControl:
         self._fleet = fleet
         self._turned = set()
         self._open_columns()
+        self._listen()
         self._land(now)
         self._dismiss(now)
         self._admit()
@@ -198,6 +224,13 @@ class TrafficControl:
     def held(self, name: str) -> str:
         """Why an aircraft is not on its way to its goal; empty if it is, or is there."""
         return self._held.get(name, "")
+
+    def lost(self, name: str) -> tuple[Vector, ...]:
+        """Corners of the line on which an aircraft is that fell silent on its way [m]; empty if it did not."""
+        if name not in self._lost:
+            return ()
+        obstacle = self._lost[name][0]
+        return obstacle.position, *obstacle.way
 
     @property
     def columns(self) -> Mapping[str, Obstacle]:
@@ -222,6 +255,7 @@ class TrafficControl:
         other = name if name in self._aboard else self._beside(column, now)
         if not other:
             self._resting.pop(name, None)
+            self._ways.pop(name, None)
             self._released.discard(name)
             self._columns[name] = column
         return other
@@ -254,6 +288,15 @@ class TrafficControl:
             self._columns.pop(name, None)
         self._released.clear()
 
+    def _listen(self) -> None:
+        """Forget what was only guessed about those that have said since where they are."""
+        for name, (_, heard_at) in list(self._lost.items()):
+            if name not in self._fleet or self._fleet[name].heard_at > heard_at or not self._fleet[name].flies:
+                del self._lost[name]
+        for name, ways in self._ways.items():
+            while len(ways) > 1 and name in self._fleet and ways[1].started <= self._fleet[name].heard_at:
+                ways.pop(0)
+
     def _land(self, now: float) -> None:
         """Those whose convoy is at its end rest there."""
         for flight in [f for f in self._flights if f.ended(now)]:
@@ -266,15 +309,33 @@ class TrafficControl:
         for name in [name for name in self._resting if not self._obeys(name)]:
             del self._resting[name]
             self._held.pop(name, None)
+            self._lose(name, now)
         for flight in list(self._flights):
             gone = [name for name in flight.convoy.names if not self._obeys(name)]
             if gone:
+                for name in gone:
+                    self._lose(name, now)
                 self._stop(flight, now)
                 flight.convoy = _without(flight.convoy, gone)
                 if not flight.convoy.names:
                     self._flights.remove(flight)
             elif any(self._strays(name, flight) for name in flight.convoy.names):
                 self._stop(flight, now)
+
+    def _lose(self, name: str, now: float) -> None:
+        """Close the way of one whose link is lost: from where it was last heard to where it may have got by itself.
+
+        Nobody knows whether it hears what is sent. If it does, it followed until now; if not, it ran on along the way
+        that it flew when it was last heard, whatever was decided since.
+        """
+        ways, traveller = self._ways.pop(name, []), self._fleet.get(name)
+        if traveller is None or traveller.heard or not ways:
+            return
+        until = now + traveller.runs_on_s
+        corners = [corner for way in ways for corner in way.line(name, max(traveller.heard_at, way.started), until)]
+        line = [corner for corner, before in zip(corners, [None, *corners], strict=False) if corner != before]
+        obstacle = Obstacle(name, line[0], radius_m=self._obstacle_radius_m, way=tuple(line[1:]))
+        self._lost[name] = obstacle, traveller.heard_at
 
     def _stop(self, flight: _Flight, now: float) -> None:
         if not flight.braking:
@@ -308,14 +369,15 @@ class TrafficControl:
 
     def _obstacles(self) -> tuple[Obstacle, ...]:
         strangers = (
-            Obstacle(name, _coarse(traveller.position), radius_m=self._obstacle_radius_m)
+            Obstacle(name, _coarse(traveller.position), radius_m=self._obstacle_radius_m, way=traveller.way)
             for name, traveller in self._fleet.items()
             if traveller.flies
             and not traveller.obeys
             and traveller.position is not None
+            and name not in self._lost
             and not self._keeps_to_its_column(name, traveller.position)
         )
-        return *self._columns.values(), *strangers
+        return *self._columns.values(), *(obstacle for obstacle, _ in self._lost.values()), *strangers
 
     def _keeps_to_its_column(self, name: str, position: Vector) -> bool:
         column = self._columns.get(name)
@@ -439,6 +501,7 @@ class TrafficControl:
             self._flights.append(_Flight(convoy, now, wanted))
             self._turned.update(convoy.names)
             for name in convoy.names:
+                self._ways.setdefault(name, []).append(self._flights[-1])
                 del self._resting[name]
                 self._held.pop(name, None)
 

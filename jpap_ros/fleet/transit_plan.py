@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -97,23 +98,39 @@ class Obstacle:
         z down to which the column below `position` is closed too [m]: an aircraft that fell silent may be landing.
     radius_m : float
         How far from there it may be [m].
+    way : tuple of (east, north, up)
+        Corners of the line that it may have flown on along from `position` [m]: closed as a whole, with columns below.
     """
 
     name: str
     position: tuple[float, float, float]
     bottom_m: float = 0.0
     radius_m: float = 0.0
+    way: tuple[Vector, ...] = ()
 
     def __post_init__(self) -> None:
-        numbers = (*self.position, self.bottom_m, self.radius_m)
+        numbers = (*self.position, self.bottom_m, self.radius_m, *(value for corner in self.way for value in corner))
         if len(self.position) != 3 or not all(math.isfinite(value) for value in numbers) or self.radius_m < 0:
-            raise ValueError(f"obstacle {self.name}: position, bottom_m and radius_m must be finite, got {numbers}")
+            raise ValueError(
+                f"obstacle {self.name}: position, bottom_m, radius_m and way must be finite, got {numbers}"
+            )
 
     @cached_property
     def column(self) -> Floats:
-        """Segment that is closed, (2, 3) [m]."""
-        east, north, up = self.position
-        return np.array([[east, north, min(self.bottom_m, up)], [east, north, up]])
+        """Polyline that is closed, (k, 3) [m]: from the bottom to the top, and along the way like a comb.
+
+        The columns below the way are no farther apart than the radius, so nothing lies between them unseen.
+        """
+        corners = [np.array(self.position), *(np.array(corner) for corner in self.way)]
+        tops = [corners[0]]
+        for start, end in pairwise(corners):
+            count = math.ceil(float(np.linalg.norm(end - start)) / max(self.radius_m, 1.0))
+            tops += [start + share * (end - start) for share in np.linspace(0.0, 1.0, count + 1)[1:]]
+        feet = [np.array([top[0], top[1], min(self.bottom_m, top[2])]) for top in tops]
+        line = [feet[0], tops[0]]
+        for foot, top in zip(feet[1:], tops[1:], strict=True):
+            line += [top, foot, top]
+        return np.array(line)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import UavConfig
-from jpap_ros.fleet.traffic import Setpoint, Traveller
+from jpap_ros.fleet.traffic import Setpoint, Traveller, Vector
 from jpap_ros.mavlink.authority import Authority, Holder
 from jpap_ros.mavlink.autopilots import (
     REGISTRY,
@@ -154,7 +154,7 @@ class Aircraft:
         #: Local clock at the last call of `hear` or `tick` [s].
         self.now = 0.0
         #: Position in the map frame (east, north, up) [m], in the goal's altitude datum; None: unknown.
-        self.enu_m: tuple[float, float, float] | None = None
+        self.enu_m: Vector | None = None
         #: Procedures set these: targets flow; they carry the planner's goals and not only the place to hold.
         self.streaming = False
         self.goals_open = False
@@ -170,8 +170,12 @@ class Aircraft:
         #: Where traffic control wants it now; None: it has no part in it. And why it has to wait there.
         self.setpoint: Setpoint | None = None
         self.way_closed = ""
+        #: Line on which traffic control takes it to be since it fell silent on its way [m]; empty: it did not.
+        self.lost_m: tuple[Vector, ...] = ()
+        #: Line on which a bridge before this one left it in the air [m]; empty: unknown, or heard since.
+        self.left_m: tuple[Vector, ...] = ()
         #: Place above its home where it waits to land, while an operator's order takes it there.
-        self.way_home: tuple[float, float, float] | None = None
+        self.way_home: Vector | None = None
         #: Position targets that went out to it, counted by time.
         self.targets = Traffic()
         #: Whether it flies nowhere but where traffic control wants it.
@@ -180,6 +184,7 @@ class Aircraft:
         self._send = send
         self._deadman = deadman
         self._streams = StreamRequests(self.commands, send, (config.sysid, AUTOPILOT_COMPONENT), rates_hz)
+        self._link_at = -math.inf
         self._running: _Running | None = None
         self._goal: Goal | None = None
         self._goal_target: Target | None = None
@@ -254,15 +259,52 @@ class Aircraft:
         return east_m, north_m, 0.0 if self.datum is AltitudeDatum.RELATIVE else up_m
 
     def traveller(self) -> Traveller:
-        """How traffic control should see it now."""
+        """How traffic control should see it now.
+
+        It obeys only from where it said itself that it is, since its link is there; later, a gap in telemetry does not
+        take it out of control again.
+        """
         in_hand = self.streaming and self.goals_open and self._can_send() and self.vehicle.in_air
-        flies = self.vehicle.in_air or not self.vehicle.on_ground
+        heard = self.vehicle.link is LinkState.CONNECTED
+        obeys = in_hand and self.enu_m is not None and (self._position_known or self.setpoint is not None)
         goal = self.way_home
         if goal is None and self._goal is not None and self._obstacle() is None:
             goal = (self._goal.east_m, self._goal.north_m, self._goal.up_m)
         position = self.vehicle.position
         heard_at = -math.inf if position is None else position.received_at
-        return Traveller(self.enu_m, in_hand and self.enu_m is not None, flies, goal, heard_at)
+        keeps_s = 0.0 if self.autopilot is None else self.autopilot.keeps_velocity_s / self.vehicle.clock_rate
+        if self.enu_m is None and self.left_m:
+            return Traveller(self.left_m[0], False, self._flies, goal, heard=heard, way=self.left_m[1:])
+        return Traveller(self.enu_m, obeys, self._flies, goal, heard_at, heard, keeps_s)
+
+    @property
+    def line_m(self) -> tuple[Vector, ...]:
+        """Corners of the line in the air on which it is until it is heard again [m]; empty: none, or unknown."""
+        if not self._flies or self.enu_m is None:
+            return self.left_m if self._flies else ()
+        if self.lost_m:
+            return self.lost_m
+        setpoint = self.setpoint
+        if setpoint is None or (speed := math.hypot(*setpoint.velocity)) == 0.0:
+            return (self.enu_m,)
+        # A leg ends at rest, so nobody who hears nothing more comes farther than that.
+        (x, y, z), (east, north, up) = setpoint.position, setpoint.velocity
+        ahead = setpoint.ahead_m / speed
+        return self.enu_m, (x + ahead * east, y + ahead * north, z + ahead * up)
+
+    @property
+    def _flies(self) -> bool:
+        """Whether it is not on the ground; as it was left, before it is heard."""
+        if self.vehicle.autopilot is None:
+            return bool(self.left_m)
+        return self.vehicle.in_air or not self.vehicle.on_ground
+
+    @property
+    def _position_known(self) -> bool:
+        """Whether it said lately where it is, and since its link is there: before that it may have flown anywhere."""
+        position = self.vehicle.position
+        fresh = self.enu_m is not None and self.vehicle.position_fresh(self.now)
+        return fresh and position is not None and position.received_at >= self._link_at
 
     # --- what an operator wants
 
@@ -321,6 +363,8 @@ class Aircraft:
         if kind == "HEARTBEAT":
             if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
                 return
+            if self.vehicle.link is not LinkState.CONNECTED:
+                self._link_at = now
             known = self.vehicle.link is LinkState.CONNECTED and self.vehicle.autopilot is not None
             self.vehicle.hear(message, now)
             if not known:
@@ -377,6 +421,8 @@ class Aircraft:
         self.commands.cancel("the autopilot rebooted")
         self.authority.release("the autopilot rebooted; call bridge/launch")
         self.streaming = self.goals_open = False
+        if self.enu_m is not None:
+            self.left_m = (self.enu_m,)
         self.enu_m = None
         if self.life.flying or self.life.state is GoalState.YIELDED:
             self.life.set_aside(GoalState.LOST, self.authority.reason)
@@ -394,6 +440,7 @@ class Aircraft:
         relative = self.datum is AltitudeDatum.RELATIVE
         up_m = position.relative_m if relative else position.amsl_m - self._frame.origin.altitude_amsl_m
         self.enu_m = east_m, north_m, up_m
+        self.left_m = ()
         if self._goal is not None:
             goal = self._goal
             self.life.moved(math.dist(self.enu_m, (goal.east_m, goal.north_m, goal.up_m)))
@@ -438,7 +485,8 @@ class Aircraft:
         elif self._reposition is not None and self._reposition.outcome is not None:
             self._take_reposition_answer(self._reposition)
         if not self.streaming or not self._can_send():
-            self._sent_target = None
+            # Where it held before may be far away when it is commanded again.
+            self._sent_target = self._hold_target = None
             return
         if self.setpoint is not None:
             target = self._target_at(self.setpoint)
@@ -520,7 +568,7 @@ class Aircraft:
         if vehicle.critical:
             return GoalState.REJECTED, f"the autopilot reports MAV_STATE {vehicle.system_status}: it holds"
         # A gap in telemetry must not turn back an aircraft that is on its way.
-        if not self._goal_begun and (self.enu_m is None or not vehicle.position_fresh(self.now)):
+        if not self._goal_begun and not self._position_known:
             return GoalState.NONE, "waiting: its position is not known"
         silence_s = self._deadman.silence_s(self.now)
         if silence_s is not None:
@@ -594,8 +642,7 @@ class Aircraft:
 
     def _hold(self) -> Target | None:
         position = self.vehicle.position
-        known = self.enu_m is not None and self.vehicle.position_fresh(self.now)
-        if self._hold_target is None and position is not None and known:
+        if self._hold_target is None and position is not None and self._position_known:
             self._hold_target = Target(position.latitude, position.longitude, position.relative_m, position.amsl_m)
             self._send_at = -math.inf
         return self._hold_target

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import FleetConfig, LinkUrl
 from jpap_ros.fleet.tower import Tower
-from jpap_ros.fleet.traffic import TrafficControl
+from jpap_ros.fleet.traffic import TrafficControl, Vector
 from jpap_ros.fleet.transit_plan import TransitLimits
 from jpap_ros.mavlink import procedures
 from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings, Done, Procedure
@@ -277,14 +277,24 @@ class FleetController:
         self._call(lambda now: self._begin(order, meant, now))
         return futures
 
-    def resume(self, names: Iterable[str]) -> dict[str, Future[OrderResult]]:
+    def resume(self, names: Iterable[str], left: Mapping[str, tuple[Vector, ...]]) -> dict[str, Future[OrderResult]]:
         """Go on with aircraft that a bridge before this one flew until it was killed.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Those it flew.
+        left : mapping of str to tuple of (east, north, up)
+            Where it left those in the air, flown or not, as `AircraftSnapshot.line_m`: others keep away until each
+            says itself where it is.
 
         Returns
         -------
         dict of str to Future
             As `order`; those that are not in the fleet any more are left out.
         """
+        for name in left.keys() & self._members.keys():
+            self._call(partial(self._leave, self._members[name].aircraft, left[name]))
         futures: dict[str, Future[OrderResult]] = {name: Future() for name in names if name in self._members}
         for name, future in futures.items():
             self._call(partial(self._resume, self._members[name], partial(_report, future)))
@@ -347,6 +357,9 @@ class FleetController:
             return lambda aircraft, _: procedures.hold(aircraft)
         return lambda aircraft, _: procedures.land(aircraft, tower)
 
+    def _leave(self, aircraft: Aircraft, line_m: tuple[Vector, ...], now: float) -> None:
+        aircraft.left_m = line_m
+
     def _resume(self, member: _Member, done: Done, now: float) -> None:
         member.aircraft.now = now
         member.aircraft.run(resume(member.aircraft), done, "resume")
@@ -406,6 +419,7 @@ class FleetController:
         turned = traffic.step(now, fleet)
         for name, member in self._members.items():
             member.aircraft.way_closed = traffic.held(name)
+            member.aircraft.lost_m = traffic.lost(name)
         # They do not wait for their regular turns, which stay spread over the period.
         for name in turned:
             self._tick(self._members[name], now)

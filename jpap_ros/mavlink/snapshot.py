@@ -43,6 +43,8 @@ class AircraftSnapshot:
         Since the bridge started.
     flown : bool
         The bridge flies it to its goals, or is about to.
+    line_m : tuple of (east, north, up)
+        Corners of the line in the air on which it is until it is heard again [m]; empty: on the ground, or unknown.
     condition : tuple
         What makes a change worth telling at once; see `condition_of`.
     """
@@ -68,6 +70,7 @@ class AircraftSnapshot:
     problems: tuple[str, ...]
     reboots: int
     flown: bool
+    line_m: tuple[tuple[float, float, float], ...] = ()
     condition: tuple[object, ...] = ()
 
 
@@ -87,6 +90,8 @@ def condition_of(aircraft: Aircraft) -> tuple[object, ...]:
         aircraft.goal.plan_id if aircraft.goal else 0,
         tuple(aircraft.problems()),
         aircraft.flown,
+        aircraft.lost_m,
+        aircraft.left_m,
     )
 
 
@@ -122,5 +127,6 @@ def snapshot_of(aircraft: Aircraft, condition: tuple[object, ...]) -> AircraftSn
         problems=tuple(aircraft.problems()),
         reboots=vehicle.reboots,
         flown=aircraft.flown,
+        line_m=aircraft.line_m,
         condition=condition,
     )

@@ -46,7 +46,7 @@ def bridge_parameters() -> tuple[Param, ...]:
         Param(
             "state_file",
             "",
-            "File that names the aircraft flown, to go on with them after a kill; empty: none",
+            "File that says which aircraft are flown and where, to go on after a kill; empty: none",
             fixed=True,
         ),
         Param("arrival_radius_m", 1.0, "A goal is reached within this distance [m]", 0.1, 100.0, fixed=True),

@@ -1,4 +1,4 @@
-"""What a bridge leaves to the one after it: which aircraft it flew when it was killed."""
+"""What a bridge leaves to the one after it: which aircraft it flew when it was killed, and where all were."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from jpap_ros.mavlink.fleet_controller import FleetController, OrderResult
-from jpap_ros.mavlink.flown_file import FlownFile, FlownFileError
+from jpap_ros.mavlink.flown_file import FlownFile, FlownFileError, Place
 from jpap_ros.mavlink.snapshot import AircraftSnapshot
 
 
@@ -33,7 +33,8 @@ class Succession:
         if self._file is None:
             return
         try:
-            outcomes = controller.resume(self._file.read())
+            left = self._file.read()
+            outcomes = controller.resume(left.flown, left.in_air)
         except FlownFileError as error:
             self._logger.warning(f"nothing is resumed: {error}")
             return
@@ -43,17 +44,20 @@ class Succession:
     def keep(self, fleet: Iterable[str], snapshots: Mapping[str, AircraftSnapshot]) -> None:
         """Say who is flown now, once something is known of everybody."""
         if all(name in snapshots for name in fleet):
-            self._write(name for name, snapshot in snapshots.items() if snapshot.flown)
+            self._write(
+                (name for name, snapshot in snapshots.items() if snapshot.flown),
+                {name: snapshot.line_m for name, snapshot in snapshots.items() if snapshot.line_m},
+            )
 
     def end(self) -> None:
         """Leave nothing: after an orderly end nobody takes aircraft back by himself."""
-        self._write(())
+        self._write((), {})
 
-    def _write(self, names: Iterable[str]) -> None:
+    def _write(self, names: Iterable[str], in_air: Mapping[str, tuple[Place, ...]]) -> None:
         if self._file is None:
             return
         try:
-            self._file.write(names)
+            self._file.write(names, in_air)
         except FlownFileError as error:
             self._logger.error(str(error), throttle_duration_sec=60.0)
 
