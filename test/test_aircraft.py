@@ -12,12 +12,13 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import MapOrigin, UavConfig
+from jpap_ros.fleet.fence import Fence
 from jpap_ros.fleet.traffic import Setpoint
 from jpap_ros.mavlink import procedures
 from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalState
-from jpap_ros.mavlink.guards import PlanDeadman
+from jpap_ros.mavlink.guards import GoalLimits, PlanDeadman
 from jpap_ros.mavlink.streams import WANTED
 
 ORIGIN = MapOrigin(-37.8136, 144.9631, 20.0)
@@ -410,3 +411,38 @@ def test_a_gap_in_positions_takes_nobody_out_of_traffic_control() -> None:
     rig.aircraft.setpoint = Setpoint((0.0, 0.0, 50.0))
     rig.run(10.0, position=False)
     assert rig.aircraft.traveller().obeys
+
+
+def test_no_setpoint_outside_the_fence_is_sent() -> None:
+    """Oracle: a fence of 50 m radius by hand. One outside already may be led back in, but not farther out."""
+    rig = Rig(limits=GoalLimits(Fence(center_m=(0.0, 0.0), radius_m=50.0, max_height_m=60.0))).launched()
+    rig.aircraft.under_traffic_control = True
+    rig.aircraft.set_goal(Goal(40.0, 0.0, 50.0))
+    frame = LocalFrame(ORIGIN)
+
+    def sent(here: tuple[float, float], setpoint: Setpoint) -> tuple[float, float]:
+        rig.position(*here)
+        rig.aircraft.setpoint = setpoint
+        rig.wire.clear()
+        rig.run(1.0, position=False)
+        return frame.to_map(rig.targets[-1].lat_int / 1e7, rig.targets[-1].lon_int / 1e7)
+
+    assert sent((20.0, 0.0), Setpoint((30.0, 0.0, 50.0))) == pytest.approx((30.0, 0.0), abs=0.1)
+    for place in ((51.0, 0.0, 50.0), (30.0, 0.0, 61.0)):
+        assert sent((20.0, 0.0), Setpoint(place)) == pytest.approx((20.0, 0.0), abs=0.1)
+        assert rig.goal == (GoalState.REJECTED, "its way leads out of the fence: it holds")
+    assert sent((60.0, 0.0), Setpoint((59.0, 0.0, 50.0), (-5.0, 0.0, 0.0))) != pytest.approx((60.0, 0.0), abs=0.1)
+
+
+def test_without_traffic_control_a_goal_behind_the_fence_is_not_flown_to() -> None:
+    notched = ((-10, -10), (110, -10), (110, 100), (60, 100), (60, 20), (40, 20), (40, 100), (-10, 100))
+    rig = Rig(limits=GoalLimits(Fence(polygon_m=notched))).launched()
+    rig.position(0.0, 80.0)
+    rig.aircraft.set_goal(Goal(100.0, 80.0, 50.0))
+    rig.wire.clear()
+    rig.run(1.0, position=False)
+    assert rig.goal == (GoalState.REJECTED, "the straight way to the goal leads out of the fence")
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.position(0.0, 0.0)
+    rig.run(1.0, position=False)
+    assert rig.goal[0] is GoalState.SENT

@@ -18,6 +18,7 @@ import pytest
 from fleet_rig import (
     ARM,
     GROUND,
+    ORIGIN,
     PATIENCE_S,
     TAKEOFF,
     Rig,
@@ -33,8 +34,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from jpap_ros.fleet.config import LinkUrl
 from jpap_ros.fleet.fence import Fence
 from jpap_ros.fleet.transit_plan import TransitLimits
+from jpap_ros.mavlink.aircraft import AircraftSettings
 from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder, OrderResult
+from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.mavlink.guards import GoalLimits
 from jpap_ros.mavlink.vehicle import LinkState
@@ -265,6 +268,32 @@ def test_ground_stations_are_told_in_words_by_the_aircrafts_onboard_computer(rig
 def test_an_own_system_id_that_is_a_vehicles_is_refused(rig: Rig) -> None:
     with pytest.raises(ValueError, match="sysid 1 is that of uav1"):
         FleetController(rig.fleet(), ControllerSettings(sysid=1))
+
+
+def test_under_traffic_control_nobody_is_sent_out_of_the_fence(rig: Rig) -> None:
+    """Oracle: each position target that reached a vehicle, against the fence's heights and notch by hand."""
+    west, east, notch = ((-50, 90), (-50, -50)), ((150, -50), (150, 90)), ((65, 90), (65, 20), (35, 20), (35, 90))
+    notched = tuple((float(x), float(y)) for x, y in (*west, *east, *notch))
+    fence = Fence(polygon_m=notched, max_height_m=40.0)
+    fleet = rig.mixed(a={"home_m": (0.0, 0.0)}, b={"home_m": (100.0, 0.0)}, c={"home_m": (0.0, 60.0)})
+    sim = rig.fly(fleet)
+    aircraft = AircraftSettings(limits=GoalLimits(fence))
+    traffic = TransitLimits(min_separation_m=10.0, tracking_error_m=2.0, speed_m_s=8.0)
+    controller = rig.control(fleet, ControllerSettings(aircraft=aircraft, launch_stagger_s=0.0, traffic=traffic))
+    assert all(result.success for result in order(controller, FleetOrder.LAUNCH, fleet.names).values())
+    controller.set_goal("a", Goal(100.0, 0.0, 30.0, plan_id=1))
+    controller.set_goal("b", Goal(0.0, 0.0, 30.0, plan_id=1))
+    controller.set_goal("c", Goal(100.0, 60.0, 30.0, plan_id=1))
+    rig.watch.until("c", lambda s: "the fence" in s.goal_reason)
+    for name in ("a", "b"):
+        rig.watch.until(name, lambda s: s.goal_state is GoalState.REACHED or "no separated path" in s.goal_reason)
+    controller.set_goal("c", Goal(0.0, 80.0, 30.0, plan_id=2))
+    rig.watch.until_goal("c", GoalState.REACHED, 2)
+    frame = LocalFrame(ORIGIN)
+    for name in fleet.names:
+        for message in setpoints(sim[name]):
+            east_m, north_m = frame.to_map(message.lat_int / 1e7, message.lon_int / 1e7)
+            assert fence.outside_m((east_m, north_m, message.alt)) < 0.1
 
 
 def test_one_that_was_left_in_the_air_and_is_silent_keeps_its_place(rig: Rig) -> None:

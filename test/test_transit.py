@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jpap_ros.fleet.assignment import assign
+from jpap_ros.fleet.fence import Fence
 from jpap_ros.fleet.separation_check import overrun_distance, polyline_distance, segment_distance
 from jpap_ros.fleet.transit import is_clear, plan_straight, plan_transit
 from jpap_ros.fleet.transit_plan import Convoy, Obstacle, TransitLimits, TransitPlan, minimum_separation
@@ -353,6 +354,48 @@ def test_those_that_follow_closely_fly_slowly_enough_to_stop():
 def test_bad_input_is_named(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+#: A square with a notch from the north, 20 m wide and 80 m deep.
+NOTCHED = Fence(
+    polygon_m=((0, 0), (100, 0), (100, 100), (60, 100), (60, 20), (40, 20), (40, 100), (0, 100)), max_height_m=80.0
+)
+
+
+@settings(max_examples=80, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 7))
+def test_no_way_leads_out_of_the_fence(seed, count):
+    """Oracle: the fence's own word for each sampled setpoint; that a leg may touch an edge costs rounding only."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0, 100, (40 * count, 2))
+    places = [place for place in places if NOTCHED.breach(*place, 50.0) is None][: 2 * count]
+    starts, goals = (np.column_stack([rows, np.full(count, 50.0)]) for rows in (places[:count], places[count:]))
+    limits = TransitLimits(10.0, 1.0).within(NOTCHED)
+    plan = plan_transit(by_name(starts), by_name(goals), limits)
+    for setpoint in sampled(plan, 0.3).reshape(-1, 3):
+        assert NOTCHED.outside_m(tuple(setpoint)) <= 1e-5
+    direct = plan_straight(by_name(starts), by_name(goals), limits)
+    for convoy in direct.convoys:
+        for setpoint in np.linspace(convoy.waypoints[0], convoy.waypoints[-1], 100).reshape(-1, 3):
+            assert NOTCHED.outside_m(tuple(setpoint)) <= 1e-5
+
+
+def test_who_would_have_to_leave_the_fence_holds_and_says_so():
+    limits = TransitLimits(10.0, 1.0).within(NOTCHED)
+    plan = plan_transit({"a": (20, 80, 50)}, {"a": (80, 80, 50)}, limits)
+    assert plan.held == {"a": "no separated path to its goal; in the way: the fence"}
+
+
+def test_layers_keep_to_the_fence():
+    # Exchanging places at 30 m takes a layer 12 m away: 42 m is too high, 18 m is free only with the lower limit.
+    swap = {"a": (0, 0, 30), "b": (100, 0, 30)}, {"a": (100, 0, 30), "b": (0, 0, 30)}
+    for lowest_m, held in ((10.0, 0), (20.0, 2)):
+        limits = TransitLimits(10.0, 1.0, min_altitude_m=lowest_m).within(Fence(max_height_m=40.0))
+        plan = plan_transit(*swap, limits)
+        assert len(plan.held) == held
+        assert sampled(plan)[..., 2].max() <= 40.0
+    with pytest.raises(ValueError, match=r"the fence allows 0 to 15 m, transit_min_height_m"):
+        TransitLimits().within(Fence(max_height_m=15.0))
 
 
 def test_a_line_on_which_somebody_may_be_is_closed_with_the_air_below_it():

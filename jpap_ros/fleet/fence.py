@@ -7,6 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 Point = tuple[float, float]
+Place = tuple[float, float, float]
+
+#: What rounding may add to a way along an edge [m].
+ROUNDING_M = 1e-6
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,46 @@ class Fence:
             return f"({east_m:.1f}, {north_m:.1f}) m is outside the fence's polygon"
         return None
 
+    def outside_m(self, place: Place) -> float:
+        """How far outside a place is, (east, north, up) [m]: across or in height, whichever is more; 0 inside."""
+        return max(self._across_m(place[:2]), self._off_height_m(place[2]))
+
+    def lets_pass(self, start: Place, end: Place) -> bool:
+        """Whether a straight leg stays inside; one that begins outside may lead in, but nowhere farther out.
+
+        Notes
+        -----
+        Exact. Along a straight leg the distance to a convex thing (the heights, the circle, an edge of the polygon) is
+        largest at one of its ends. The polygon's edges cut the leg into pieces that are each inside or outside
+        as a whole; a piece outside is no farther from the polygon than its ends are from any one of the edges.
+        """
+        if self._off_height_m(end[2]) > max(self._off_height_m(start[2]), ROUNDING_M):
+            return False
+        a, b = start[:2], end[:2]
+        if not self.polygon_m:
+            return self._across_m(b) <= max(self._across_m(a), ROUNDING_M)
+        edges = list(pairwise((*self.polygon_m, self.polygon_m[0])))
+        cuts = sorted({0.0, 1.0, *(share for c, d in edges for share in _cuts(a, b, c, d))})
+        allowed_m = max(self._across_m(a), ROUNDING_M)
+        for first, last in pairwise(cuts):
+            if _inside(_between(a, b, (first + last) / 2), self.polygon_m):
+                allowed_m = ROUNDING_M
+                continue
+            ends = _between(a, b, first), _between(a, b, last)
+            if min(max(_distance(c, d, point) for point in ends) for c, d in edges) > allowed_m:
+                return False
+        return True
+
+    def _off_height_m(self, height_m: float) -> float:
+        return max(self.min_height_m - height_m, height_m - self.max_height_m, 0.0)
+
+    def _across_m(self, point: Point) -> float:
+        if self.center_m is not None and self.radius_m is not None:
+            return max(math.dist(point, self.center_m) - self.radius_m, 0.0)
+        if not self.polygon_m or _inside(point, self.polygon_m):
+            return 0.0
+        return min(_distance(a, b, point) for a, b in pairwise((*self.polygon_m, self.polygon_m[0])))
+
 
 def _check_polygon(corners: tuple[Point, ...]) -> None:
     if len(corners) < 3:
@@ -121,3 +165,28 @@ def _inside(point: Point, corners: tuple[Point, ...]) -> bool:
             if point[0] < crossing_east:
                 inside = not inside
     return inside
+
+
+def _between(a: Point, b: Point, share: float) -> Point:
+    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
+
+
+def _cuts(a: Point, b: Point, c: Point, d: Point) -> list[float]:
+    """Shares of the leg from a to b at which it may cross the edge c d, or pass one of its ends."""
+    start, end = _side(c, d, a), _side(c, d, b)
+    if start * end < 0.0:
+        return [start / (start - end)]
+    along = b[0] - a[0], b[1] - a[1]
+    length2 = along[0] ** 2 + along[1] ** 2
+    if start == end == 0.0 and length2 > 0.0:
+        shares = [((p[0] - a[0]) * along[0] + (p[1] - a[1]) * along[1]) / length2 for p in (c, d)]
+        return [share for share in shares if 0.0 < share < 1.0]
+    return []
+
+
+def _distance(a: Point, b: Point, p: Point) -> float:
+    """Distance of a point to the edge a b."""
+    along = b[0] - a[0], b[1] - a[1]
+    length2 = along[0] ** 2 + along[1] ** 2
+    share = ((p[0] - a[0]) * along[0] + (p[1] - a[1]) * along[1]) / length2
+    return math.dist(p, _between(a, b, min(max(share, 0.0), 1.0)))

@@ -222,9 +222,11 @@ def _join(groups: Sequence[frozenset[int]], pairs: Sequence[tuple[int, int]]) ->
 
 def _straight_routes(scene: Scene, groups: Sequence[frozenset[int]]) -> Iterator[_Route]:
     """Routes of the groups that can fly all at once and straight."""
-    blocked = scene.blockers(scene.straight(scene.moving), scene.start)
+    straight = scene.straight(scene.moving)
+    blocked = {i for i, path in straight.items() if scene.leaves_fence(path)}
+    blocked |= scene.blockers(straight, scene.start).keys()
     for group in groups:
-        if blocked.keys() & group:
+        if blocked & group:
             continue
         members = sorted(group)
         here, goal = scene.start[members], scene.goal[members]
@@ -257,7 +259,9 @@ def _in_waves(scene: Scene, group: frozenset[int]) -> _Route:
         others = [j for j in members if j != i]
         blocker = scene.blockers({i: np.array([here[i], scene.goal[i]])}, here, others).get(i)
         why = "every path that was tried"
-        if blocker is not None:
+        if scene.leaves_fence(np.array([here[i], scene.goal[i]])):
+            why = "the fence"
+        elif blocker is not None:
             why = f"{scene.name(blocker[0])}, {blocker[1]:.1f} m from its path"
         route.held[scene.names[i]] = f"no separated path to its goal; in the way: {why}"
     return route
@@ -306,7 +310,12 @@ def _goal_taken(scene: Scene, aircraft: int, here: Floats, still: Sequence[int])
 
 
 def _candidates(scene: Scene, aircraft: int, here: Floats) -> Iterator[Floats]:
-    """Paths to try, (4, 3) each: straight while others cross; through the layers, nearest first; round an obstacle."""
+    """Paths to try, (4, 3) each, that keep to the fence."""
+    yield from (path for path in _all_candidates(scene, aircraft, here) if not scene.leaves_fence(path))
+
+
+def _all_candidates(scene: Scene, aircraft: int, here: Floats) -> Iterator[Floats]:
+    """Straight while others cross; through the layers, nearest first; round an obstacle."""
     start, goal = here[aircraft], scene.goal[aircraft]
     yield np.array([start, start, goal, goal])
     for altitude in _layers(scene.limits, float(goal[2])):

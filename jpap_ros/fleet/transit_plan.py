@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from jpap_ros.fleet.arrays import Floats
+from jpap_ros.fleet.fence import Fence
 from jpap_ros.fleet.separation_check import polyline_distance, synchronous_distance
 from jpap_ros.fleet.time_law import TimeLaw
 
@@ -41,6 +42,8 @@ class TransitLimits:
         What every aircraft can do; below what its autopilot is configured for, so that it can follow.
     min_altitude_m, max_altitude_m : float
         Range of the altitude layers that aircraft may be sent through [m], z of the map frame.
+    fence : Fence or None
+        No way leads out of it; see `within`.
     """
 
     min_separation_m: float = 10.0
@@ -52,9 +55,12 @@ class TransitLimits:
     acceleration_m_s2: float = 1.0
     min_altitude_m: float = 20.0
     max_altitude_m: float = 120.0
+    fence: Fence | None = None
 
     def __post_init__(self) -> None:
         for item in fields(self):
+            if item.name == "fence":
+                continue
             value = getattr(self, item.name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
                 raise ValueError(f"{item.name} must be a finite number, got {value!r}")
@@ -66,6 +72,21 @@ class TransitLimits:
                 raise ValueError(f"{name} must be > 0, got {getattr(self, name)!r}")
         if self.max_altitude_m < self.min_altitude_m:
             raise ValueError(f"max_altitude_m is {self.max_altitude_m}, below min_altitude_m {self.min_altitude_m}")
+
+    def within(self, fence: Fence | None) -> TransitLimits:
+        """Return the limits with a fence, which the layers keep to as well; ValueError if none is left."""
+        if fence is None:
+            return self
+        lowest_m, highest_m = (
+            max(self.min_altitude_m, fence.min_height_m),
+            min(self.max_altitude_m, fence.max_height_m),
+        )
+        if lowest_m > highest_m:
+            raise ValueError(
+                f"no height is left for ways: the fence allows {fence.min_height_m:g} to {fence.max_height_m:g} m, "
+                f"transit_min_height_m and transit_max_height_m {self.min_altitude_m:g} to {self.max_altitude_m:g} m"
+            )
+        return replace(self, fence=fence, min_altitude_m=lowest_m, max_altitude_m=highest_m)
 
     def faster(self, rate: float) -> TransitLimits:
         """Return the limits of aircraft that live `rate` times as fast as the clock, as in a simulation."""

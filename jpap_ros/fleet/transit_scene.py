@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -190,6 +191,14 @@ class Scene:
                 break
             worst.setdefault(int(mine[k]), (int(other[k]), float(apart[k])))
         return worst
+
+    def leaves_fence(self, path: Floats) -> bool:
+        """Whether a path leads out of the fence."""
+        fence = self.limits.fence
+        if fence is None:
+            return False
+        corners = [(east, north, up) for east, north, up in path.tolist()]
+        return not all(fence.lets_pass(start, end) for start, end in pairwise(corners))
 
     def near_lines(self, path: Floats) -> list[Closed]:
         """Closed lines nearer to a path than it should be."""

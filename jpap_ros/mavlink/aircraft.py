@@ -10,6 +10,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import UavConfig
+from jpap_ros.fleet.fence import ROUNDING_M
 from jpap_ros.fleet.traffic import Setpoint, Traveller, Vector
 from jpap_ros.mavlink.authority import Authority, Holder
 from jpap_ros.mavlink.autopilots import (
@@ -43,6 +44,8 @@ from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState, Vehicle
 UNANSWERED_SUSPICIOUS = 3
 #: This near to a moving setpoint an aircraft follows it [m].
 FOLLOWING_M = 5.0
+#: One that is outside the fence already may be told a place this much farther out than where it sways to [m].
+FENCE_SWAY_M = 1.0
 #: Least rate of targets that move [Hz].
 MOVING_TARGET_HZ = 5.0
 #: An echo sooner than this after its target was changed may still be of the one before [s].
@@ -479,6 +482,10 @@ class Aircraft:
             obstacle = GoalState.NONE, f"waiting for a free way: {self.way_closed}"
         if obstacle is None and self.under_traffic_control and self.setpoint is None:
             obstacle = GoalState.NONE, "waiting for traffic control"
+        setpoint = self._setpoint_to_send()
+        if setpoint is not None and self._leaves_fence(setpoint.position):
+            setpoint = None
+            obstacle = obstacle or (GoalState.REJECTED, "its way leads out of the fence: it holds")
         if obstacle is not None:
             self.life.set_aside(*obstacle)
             self._goal_begun = False
@@ -488,8 +495,8 @@ class Aircraft:
             # Where it held before may be far away when it is commanded again.
             self._sent_target = self._hold_target = None
             return
-        if self.setpoint is not None:
-            target = self._target_at(self.setpoint)
+        if setpoint is not None:
+            target = self._target_at(setpoint)
         else:
             target = self._goal_target if obstacle is None else self._hold() or self._sent_target
         if target is None:
@@ -510,6 +517,13 @@ class Aircraft:
         if self.enu_m is not None and math.dist(self.enu_m, setpoint.position) <= FOLLOWING_M:
             self.life.follows(self.now)
 
+    def _setpoint_to_send(self) -> Setpoint | None:
+        """What traffic control wants, so that it may be the last target."""
+        if self.setpoint is None or self.autopilot is None or self.vehicle.clock_rate != 1.0:
+            # A simulation faster than the clock gets too few targets to do without their full velocity.
+            return self.setpoint
+        return coasting(self.setpoint, self.autopilot.keeps_velocity_s)
+
     def _target_at(self, setpoint: Setpoint) -> Target | None:
         """Target for a place that traffic control gives."""
         goal = self._goal
@@ -518,20 +532,24 @@ class Aircraft:
             return self._goal_target
         if at_rest and self._rest is not None and self._rest[0] == setpoint:
             return self._rest[1]
-        moving = setpoint
-        if self.autopilot is not None and self.vehicle.clock_rate == 1.0:
-            # A simulation faster than the clock gets too few targets to do without their full velocity.
-            moving = coasting(setpoint, self.autopilot.keeps_velocity_s)
         try:
-            target = target_of(Goal(*moving.position), self._frame)
+            target = target_of(Goal(*setpoint.position), self._frame)
         except GoalRefused:
             # An aircraft nearer to the ground than any goal may be: hold by telemetry.
             return self._hold() or self._sent_target
         if at_rest:
             self._rest = setpoint, target
             return target
-        east, north, up = moving.velocity
+        east, north, up = setpoint.velocity
         return replace(target, velocity_ned_m_s=(north, east, -up))
+
+    def _leaves_fence(self, place: Vector) -> bool:
+        """Whether a place lies outside the fence, and farther than the aircraft does: it may be led back in."""
+        fence = self.settings.limits.fence
+        if fence is None or (outside_m := fence.outside_m(place)) <= ROUNDING_M:
+            return False
+        here_m = 0.0 if self.enu_m is None else fence.outside_m(self.enu_m)
+        return here_m == 0.0 or outside_m > here_m + FENCE_SWAY_M
 
     def _can_send(self) -> bool:
         return (
@@ -589,7 +607,15 @@ class Aircraft:
             self.autopilot.frame_and_altitude(self._goal_target, self.vehicle, self.datum)
         except TargetError as error:
             return GoalState.REJECTED, str(error)
+        if not self.under_traffic_control and self._straight_way_leaves_fence():
+            return GoalState.REJECTED, "the straight way to the goal leads out of the fence"
         return None
+
+    def _straight_way_leaves_fence(self) -> bool:
+        fence, goal = self.settings.limits.fence, self._goal
+        if fence is None or goal is None or self.enu_m is None:
+            return False
+        return not fence.lets_pass(self.enu_m, (goal.east_m, goal.north_m, goal.up_m))
 
     @property
     def identity_problem(self) -> str:

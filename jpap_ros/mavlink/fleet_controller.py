@@ -130,7 +130,8 @@ class FleetController:
     Raises
     ------
     ValueError
-        If the bridge's own system id is that of a vehicle, or a signing key cannot be used.
+        If the bridge's own system id is that of a vehicle, the fence leaves no height for ways, or a signing key
+        cannot be used.
     OSError
         If a port cannot be listened on.
 
@@ -152,6 +153,7 @@ class FleetController:
             if uav.sysid == settings.sysid:
                 raise ValueError(f"the bridge's sysid {settings.sysid} is that of {uav.name}: choose another")
         self._settings = settings
+        self._limits = settings.traffic and settings.traffic.within(settings.aircraft.limits.fence)
         self._on_snapshot = on_snapshot
         self._on_failure = on_failure
         self._hub = LinkHub(settings.sysid, on_frame=on_frame)
@@ -201,8 +203,8 @@ class FleetController:
         # Targets that move need a stream of setpoints.
         streams = settings.aircraft.transport is Transport.SETPOINT
         self._traffic = None
-        if settings.traffic and streams:
-            self._traffic = TrafficControl(settings.traffic, on_plan=lambda: self._call(self._look_soon))
+        if self._limits and streams:
+            self._traffic = TrafficControl(self._limits, on_plan=lambda: self._call(self._look_soon))
             self._traffic_at = 0.0
         for member in self._members.values():
             member.aircraft.under_traffic_control = self._traffic is not None
@@ -412,7 +414,7 @@ class FleetController:
         fleet = {name: member.aircraft.traveller() for name, member in self._members.items()}
         rates = [self._members[name].aircraft.vehicle.clock_rate for name, one in fleet.items() if one.obeys]
         rate = min(rates, default=1.0)
-        limits = self._settings.traffic
+        limits = self._limits
         if limits is not None and abs(rate - self._clock_rate) > 0.1 * self._clock_rate:
             self._clock_rate = rate
             traffic.limits = limits.faster(rate)
@@ -569,9 +571,7 @@ class FleetController:
 
 
 def _tower(traffic: TrafficControl, settings: AircraftSettings) -> Tower:
-    fence = settings.limits.fence
-    top_m = traffic.limits.max_altitude_m
-    return Tower(traffic, settings.takeoff_height_m, top_m if fence is None else min(top_m, fence.max_height_m))
+    return Tower(traffic, settings.takeoff_height_m, traffic.limits.max_altitude_m)
 
 
 def _places(routes: Iterable[Route]) -> str:
