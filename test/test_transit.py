@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from jpap_ros.fleet.assignment import assign
 from jpap_ros.fleet.fence import Fence
 from jpap_ros.fleet.separation_check import overrun_distance, polyline_distance, segment_distance
+from jpap_ros.fleet.time_law import TimeLaw
 from jpap_ros.fleet.transit import is_clear, plan_straight, plan_transit
 from jpap_ros.fleet.transit_plan import Convoy, Obstacle, TransitLimits, TransitPlan, minimum_separation
 
@@ -234,6 +235,11 @@ def test_a_column_up_to_the_ceiling_is_passed_at_its_side():
 
 def _velocity(plan, moment):
     return [plan.velocity(name, moment) for name in plan.names]
+
+
+def test_who_has_hardly_begun_stops_where_it_is():
+    # At 1e-160 of full speed, 1e-320 of the leg: the law to stop within that would be faster than any number.
+    assert TimeLaw(1.0, 1.0).braking(1e-160) == (pytest.approx(0.0), pytest.approx(0.0), None)
 
 
 def test_duration_by_hand():

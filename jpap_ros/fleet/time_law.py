@@ -10,6 +10,9 @@ import numpy as np
 
 from jpap_ros.fleet.arrays import Floats
 
+#: Who would stop within this share of a leg rests: smaller ones have no square that is a number.
+_AT_REST = 1e-30
+
 
 @dataclass(frozen=True)
 class TimeLaw:
@@ -74,7 +77,7 @@ class TimeLaw:
         """Where slowing down at once leads: from s, to s, and the law between the two; None where already at rest."""
         s, speed = self.at(time_s)
         end = min(s + speed**2 / (2 * self.acceleration), 1.0)
-        if end <= s:
+        if end - s < _AT_REST:
             return s, s, None
         initial = speed / (end - s)
         return s, end, TimeLaw(initial, initial**2 / 2, initial)
