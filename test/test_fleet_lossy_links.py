@@ -20,6 +20,7 @@ from jpap_ros.mavlink.aircraft import AircraftSettings
 from jpap_ros.mavlink.commands import ORDER_ATTEMPTS, PROMPT_S
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetOrder
 from jpap_ros.mavlink.goals import Goal, GoalState
+from jpap_ros.mavlink.procedures import ARM_PROMPT_S
 from jpap_ros.sim import LinkFaults, SimFleet, SimVehicle, VehicleOptions
 
 FAULTS = LinkFaults(loss=0.3, duplicate=0.1, reorder=0.1, delay_s=0.2, jitter_s=0.05)
@@ -119,11 +120,11 @@ def test_all_reach_their_goals_after_one_launch_and_nothing_dangerous_comes_twic
         (lifted,) = flights.times[name]
         arms, takeoffs = arrivals(vehicle, ARM, 1.0), arrivals(vehicle, TAKEOFF)
         assert arms and takeoffs
-        for sent in (arms, takeoffs):
+        for sent, prompt_s in ((arms, ARM_PROMPT_S), (takeoffs, PROMPT_S)):
             times, confirmations = zip(*sent.values(), strict=True)
             # Each is the next repetition of one and the same command, none is late, and none comes to one that flies.
             assert len(set(confirmations)) == len(confirmations)
-            assert max(times) - min(times) < PROMPT_S + SLOWEST_FRAME_S
+            assert max(times) - min(times) < prompt_s + SLOWEST_FRAME_S
             assert max(times) < min(lifted + SLOWEST_FRAME_S, landing)
         assert commands(vehicle, ARM) and {m.param1 for m in commands(vehicle, ARM)} == {1.0}
         for harmless in (mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_NAV_LAND):

@@ -15,9 +15,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from jpap_ros.fleet.config import MapOrigin, UavConfig
 from jpap_ros.mavlink import procedures
 from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings
+from jpap_ros.mavlink.authority import Holder
 from jpap_ros.mavlink.commands import PROMPT_S
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.guards import PlanDeadman
+from jpap_ros.mavlink.procedures import ARM_SHOWS_S
 from jpap_ros.mavlink.streams import WANTED
 
 ORIGIN = MapOrigin(-37.8136, 144.9631, 20.0)
@@ -26,6 +28,7 @@ MODE, ARM, TAKEOFF = (
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
     mavlink.MAV_CMD_NAV_TAKEOFF,
 )
+GUIDED, LOITER = 4, 5
 GROUND, RISING, AIR = (
     mavlink.MAV_LANDED_STATE_ON_GROUND,
     mavlink.MAV_LANDED_STATE_TAKEOFF,
@@ -49,6 +52,7 @@ class Rig:
         self.answers: Callable[[int], bool] = lambda command: True
         self.obeys: Callable[[int], bool] = lambda command: True
         self.tells_landed_state = True
+        self.beats = True
         self.mode, self.armed, self.landed, self.height_m = 0, False, GROUND, 0.0
         self.aircraft = Aircraft(
             UavConfig("uav1", 1, ()),
@@ -60,7 +64,7 @@ class Rig:
             {message_id: wanted.rate_hz for message_id, wanted in WANTED.items()},
         )
         self.done: list[tuple[bool, str]] = []
-        self._telemetry()
+        self.telemetry()
         self.aircraft.run(
             procedures.launch(self.aircraft), lambda success, words: self.done.append((success, words)), "launch"
         )
@@ -89,9 +93,10 @@ class Rig:
     def _hear(self, message: Any) -> None:
         self.aircraft.hear(message, (1, 1), self.now)
 
-    def _telemetry(self) -> None:
+    def telemetry(self) -> None:
         base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
-        self._hear(mavlink.MAVLink_heartbeat_message(2, 3, base, self.mode, 4, 3))
+        if self.beats:
+            self._hear(mavlink.MAVLink_heartbeat_message(2, 3, base, self.mode, 4, 3))
         if self.tells_landed_state:
             self._hear(mavlink.MAVLink_extended_sys_state_message(0, self.landed))
         self._hear(mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 15_900, -1, 87, 0, 0, 0, 0, 0, 0))
@@ -104,6 +109,11 @@ class Rig:
                 round(self.now * 1e3), -378136000, 1449631000, 20_000 + height_mm, height_mm, 0, 0, 0, 0
             )
         )
+
+    def until_sent(self, command: int) -> None:
+        """Let time pass until a command was sent."""
+        while not self.tries(command):
+            self.watch(0.1)
 
     def run(self, seconds: float = 90.0) -> tuple[bool, str]:
         """Let time pass until the launch has ended; telemetry comes twice a second."""
@@ -121,7 +131,7 @@ class Rig:
                 self.height_m = min(10.0, self.height_m + 0.3)
                 self.landed = RISING if self.height_m < 10.0 else AIR
             if round(self.now * 10) % 5 == 0:
-                self._telemetry()
+                self.telemetry()
             self.aircraft.tick(self.now)
 
 
@@ -172,9 +182,79 @@ def test_nothing_dangerous_is_sent_late(rig: Rig, lost: int) -> None:
     success, words = rig.run()
     assert not success and "no answer" in words
     times = [at for at, m in rig.tries(lost, 1.0 if lost == ARM else None)]
-    assert 5 <= len(times) <= 11 and times[-1] - times[0] < PROMPT_S
+    tries, prompt_s = ((4, 5), ARM_SHOWS_S + 0.5) if lost == ARM else ((5, 11), PROMPT_S)
+    assert tries[0] <= len(times) <= tries[1] and times[-1] - times[0] < prompt_s
     # What was armed is disarmed again.
     assert not rig.armed
+
+
+def test_while_no_heartbeat_comes_arming_is_sent_again_for_three_seconds_at_most(rig: Rig) -> None:
+    rig.hears = lambda command, number: command != ARM
+    rig.until_sent(ARM)
+    rig.beats = False
+    rig.watch(3.9)
+    times = [at for at, _ in rig.tries(ARM)]
+    assert 6 <= len(times) <= 9 and 2.0 < times[-1] - times[0] <= 3.0
+
+
+def test_what_a_human_disarms_at_once_is_not_armed_again_and_again(rig: Rig) -> None:
+    """It was armed and disarmed between two heartbeats, and the answer is lost: none of them shows it armed."""
+    rig.obeys, rig.answers = (lambda command: command != ARM), (lambda command: command != ARM)
+    success, words = rig.run()
+    assert not success and "no answer" in words
+    times = [at for at, _ in rig.tries(ARM, 1.0)]
+    assert len(times) <= 5 and times[-1] - times[0] < ARM_SHOWS_S + 0.5
+
+
+def test_what_was_seen_armed_is_never_armed_again(rig: Rig) -> None:
+    rig.answers = lambda command: command != ARM
+    rig.until_sent(ARM)
+    rig.telemetry()
+    rig.armed = False
+    success, words = rig.run()
+    assert not success and "disarmed without the bridge asking" in words
+    assert len(rig.tries(ARM)) == 1
+
+
+@pytest.mark.parametrize(("after", "never"), [(MODE, ARM), (ARM, TAKEOFF), (TAKEOFF, MODE)])
+def test_a_pilot_who_takes_over_just_after_a_change_of_mode_keeps_it(rig: Rig, after: int, never: int) -> None:
+    """Within the second in which a heartbeat could still be one from before the change."""
+    rig.mode = LOITER
+    rig.telemetry()
+    rig.until_sent(after)
+    rig.telemetry()  # GUIDED is confirmed
+    sent = len(rig.sent)
+    rig.mode = LOITER
+    rig.telemetry()
+    success, words = rig.run()
+    assert not success and "LOITER" in words
+    # One whose change of mode was not noticed yet goes back to nobody, on the ground.
+    assert rig.aircraft.authority.holder is (Holder.NOBODY if after == MODE else Holder.OTHERS)
+    rig.watch(20.0)
+    assert never not in {m.command for _, m in rig.sent[sent:]}
+
+
+def test_one_late_heartbeat_from_before_the_change_ends_nothing(rig: Rig) -> None:
+    rig.mode = LOITER
+    rig.telemetry()
+    rig.until_sent(MODE)
+    rig.telemetry()
+    rig.mode = LOITER
+    rig.telemetry()
+    rig.mode = GUIDED
+    success, words = rig.run()
+    assert success, words
+
+
+def test_who_takes_off_by_himself_while_he_waits_for_his_turn_is_not_taken(rig: Rig) -> None:
+    aircraft = rig.aircraft
+    aircraft.run(procedures.launch(aircraft, delay_s=5.0), lambda *end: rig.done.append(end), "launch")
+    rig.done.clear()
+    rig.watch(1.0)
+    rig.armed, rig.landed = True, RISING
+    success, words = rig.run()
+    assert not success and "somebody else flies it" in words
+    assert not rig.tries(MODE) and aircraft.authority.holder is Holder.NOBODY
 
 
 def test_without_a_landed_state_take_off_is_never_sent_twice(rig: Rig) -> None:

@@ -50,6 +50,10 @@ class Authority:
         self.reason = ""
         self.expect(modes, now)
 
+    def expects(self, mode: str) -> bool:
+        """Whether this mode is no sign of a pilot, even if it lasts: not only one from before a change."""
+        return mode in self._modes
+
     def expect(self, modes: Iterable[str], now: float) -> None:
         """Modes that the bridge asked for and that are therefore no sign of a pilot."""
         self._modes_before = self._modes

@@ -1,7 +1,7 @@
 """The command protocol, for one vehicle: answers matched, repeated only where repeating is harmless.
 
 Source: https://mavlink.io/en/services/command.html. What must not be done late or twice (arming, take-off) is sent
-again only while the operator's order is fresh and telemetry shows that it was not done.
+again only while the operator's order is fresh and telemetry lets no doubt that this is harmless.
 """
 
 from __future__ import annotations
@@ -58,6 +58,8 @@ class Command:
         do not suffer from single precision. None: COMMAND_LONG.
     attempts : int
         Times that it is sent at most, if it is idempotent.
+    answer_timeout_s : float
+        Wait for an answer before it is sent again, if it is [s].
     """
 
     id: int
@@ -66,6 +68,7 @@ class Command:
     idempotent: bool = False
     frame: int | None = None
     attempts: int = ATTEMPTS
+    answer_timeout_s: float = ANSWER_TIMEOUT_S
 
     def message(self, system: int, component: int, as_int: bool, confirmation: int) -> Any:
         """COMMAND_INT or COMMAND_LONG."""
@@ -245,7 +248,7 @@ class CommandChannel:
 
     def _transmit(self, exchange: _Exchange, now: float) -> None:
         repeated = exchange.command.idempotent or exchange.done is not None
-        exchange.due = now + (ANSWER_TIMEOUT_S if repeated else SINGLE_ANSWER_TIMEOUT_S)
+        exchange.due = now + (exchange.command.answer_timeout_s if repeated else SINGLE_ANSWER_TIMEOUT_S)
         exchange.sent_at = now
         exchange.sent += 1
         self._send(exchange.command.message(*self._target, exchange.as_int, exchange.sent - 1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -20,6 +20,9 @@ from jpap_ros.mavlink.vehicle import LinkState
 MODE_TIMEOUT_S = 5.0
 #: Arming must show in the heartbeat within this [s].
 ARMED_TIMEOUT_S = 5.0
+#: A heartbeat so long after ARM must show it: a beat's time, and the way there and back. One that shows it disarmed
+#: then ends the repeating, because somebody may have disarmed it; in any case it ends after so long [s].
+ARM_SHOWS_S, ARM_PROMPT_S = 1.5, 3.0
 #: STATUSTEXT that explains a refusal may come this long after the answer [s].
 WORDS_AFTER_S = 1.0
 #: A climb or a landing may take this long, plus a time that grows with the height [s], [m/s].
@@ -27,6 +30,8 @@ CLIMB_TIMEOUT_S = 30.0
 CLIMB_SPEED_M_S = 0.5
 #: Time given to somebody to get out of the way of a take-off or a landing, who does not take off or land himself [s].
 WAY_TIMEOUT_S = 45.0
+
+_LEFT_THE_GROUND = "it left the ground while it waited: somebody else flies it"
 
 Wait = Generator[None, None, None]
 Place = tuple[float, float, float]
@@ -37,8 +42,10 @@ def launch(
 ) -> Procedure:
     """Take an aircraft from the ground into the air, or back from a pilot, and open it to the planner's goals.
 
-    Without an answer to arming or take-off the heartbeat and the landed state decide: either is sent again only while
-    they show that it was not done, and only for some seconds, so that nothing is sent late.
+    Without an answer to arming or take-off the heartbeat and the landed state decide, so that nothing is sent late:
+    arming is sent again until a heartbeat must have shown it, and never after it was seen; take-off only while they
+    show that it was not done, and only for some seconds. Neither is sent unless the newest heartbeat is in a mode that
+    the bridge asked for.
 
     Parameters
     ----------
@@ -56,11 +63,14 @@ def launch(
         aircraft.recalled = False
         if problem := _takeoff_problem(aircraft, aircraft.settings.takeoff_height_m):
             raise ProcedureFailed(problem)
+        stood = aircraft.vehicle.link is LinkState.CONNECTED and aircraft.vehicle.on_ground
         if not aircraft.vehicle.in_air:
             yield from _pause(aircraft, delay_s)
         timeout_s = aircraft.settings.ready_timeout_s
         if not (yield from _until(aircraft, lambda: not _not_ready(aircraft), timeout_s, needs_link=False)):
             raise ProcedureFailed(f"not ready: {_not_ready(aircraft)}")
+        if stood and not aircraft.vehicle.on_ground:
+            raise ProcedureFailed(_LEFT_THE_GROUND)
         if aircraft.vehicle.in_air:
             if aircraft.authority.ours and aircraft.goals_open and aircraft.mode == aircraft.goal_mode:
                 return "in the air and flying its goals already"
@@ -96,7 +106,9 @@ def _landing_hindrance(aircraft: Aircraft, tower: Tower, turn: Turn) -> Hindranc
 
 def _rise(aircraft: Aircraft, height_m: float) -> Wait:
     autopilot = _autopilot(aircraft)
-    aircraft.authority.take({aircraft.mode}, aircraft.now)
+    if not aircraft.vehicle.on_ground:
+        raise ProcedureFailed(_LEFT_THE_GROUND)
+    yield from _take(aircraft)
     try:
         if autopilot.mode_before_takeoff is not None:
             yield from _set_mode(aircraft, autopilot.mode_before_takeoff)
@@ -301,13 +313,37 @@ def _not_ready(aircraft: Aircraft) -> str:
     return ""
 
 
+def _in_hand(aircraft: Aircraft) -> Wait:
+    """Wait while the newest heartbeat is in a mode from before: the next one shows that it was late, or a pilot's."""
+    while aircraft.authority.ours and not aircraft.authority.expects(aircraft.mode):
+        yield
+        _check_link(aircraft)
+
+
+def _take(aircraft: Aircraft, modes: Iterable[str] = ()) -> Wait:
+    """Expect these modes from now on, besides the present one.
+
+    The first time in an order, what others have is taken in whatever mode it is. Later their mode ends the order.
+    """
+    yield from _in_hand(aircraft)
+    aircraft.authority.take({aircraft.mode, *modes}, aircraft.now)
+
+
 def _arm(aircraft: Aircraft) -> Wait:
-    if aircraft.vehicle.armed:
+    vehicle = aircraft.vehicle
+    yield from _in_hand(aircraft)
+    if vehicle.armed:
         return
     began = aircraft.now
-    outcome = yield from _command(aircraft, _autopilot(aircraft).arm(), lambda sent_at: aircraft.vehicle.armed)
+
+    def enough(sent_at: float) -> bool:
+        """Whether it is not sent again."""
+        shown = vehicle.armed or vehicle.heartbeat_at > began + ARM_SHOWS_S
+        return shown or aircraft.now > began + ARM_PROMPT_S or not aircraft.authority.expects(aircraft.mode)
+
+    outcome = yield from _command(aircraft, _autopilot(aircraft).arm(), enough)
     if outcome.accepted or outcome.result is None:
-        armed = yield from _until(aircraft, lambda: aircraft.vehicle.armed, ARMED_TIMEOUT_S)
+        armed = yield from _until(aircraft, lambda: vehicle.armed, ARMED_TIMEOUT_S)
         if armed:
             return
         if outcome.accepted:
@@ -323,7 +359,7 @@ def _take_off(aircraft: Aircraft, height_m: float) -> Wait:
         command = autopilot.takeoff(vehicle, height_m)
     except TargetError as error:
         raise ProcedureFailed(f"take off: {error}") from None
-    aircraft.authority.expect({aircraft.mode, *autopilot.takeoff_modes}, aircraft.now)
+    yield from _take(aircraft, autopilot.takeoff_modes)
     rising = (mavlink.MAV_LANDED_STATE_TAKEOFF, mavlink.MAV_LANDED_STATE_IN_AIR)
     mode_before = aircraft.mode
 
@@ -358,7 +394,7 @@ def _open_to_goals(aircraft: Aircraft) -> Wait:
     aircraft.begin_hold()
     # A take-off may end by itself in another mode, meanwhile.
     own_modes = autopilot.takeoff_modes if aircraft.authority.ours else frozenset()
-    aircraft.authority.take({aircraft.mode, *own_modes}, aircraft.now)
+    yield from _take(aircraft, own_modes)
     streams = aircraft.settings.transport is Transport.SETPOINT
     if streams and autopilot.stream_lead_s > 0.0:
         aircraft.streaming = True
@@ -379,8 +415,8 @@ def _change_mode(aircraft: Aircraft, command: Command, mode: str, meanwhile: fro
     meanwhile : frozenset of str
         Modes on the way that are no sign of a pilot.
     """
+    yield from _take(aircraft, {mode, *meanwhile})
     began = aircraft.now
-    aircraft.authority.take({aircraft.mode, mode, *meanwhile}, aircraft.now)
     if aircraft.mode != mode:
         outcome = yield from _command(aircraft, command)
         if outcome.accepted or outcome.result is None:

@@ -27,6 +27,7 @@ MODES = {
 }
 _NAMES = {number: name for name, number in MODES.items()}
 _NO_POSITION_NEEDED = ("STABILIZE", "ALT_HOLD", "LAND")
+_TAKE_OFF = ("GUIDED", "LOITER", "POSHOLD")
 _NOT_ARMABLE = ("RTL", "LAND", "BRAKE", "AUTO")
 
 RTL_ALT_M = 15.0
@@ -187,11 +188,13 @@ class ArduPilotVehicle(SimVehicle):
         return ACCEPTED if self.request_mode(MODES["RTL"]) else FAILED
 
     def take_off(self, command: Command) -> int:
-        """Needs GUIDED, armed, on the ground; the altitude is relative to home."""
+        """Needs a mode with a take-off, armed, on the ground; the altitude is relative to home."""
         if command.is_int and command.frame not in RELATIVE_FRAMES:
             return DENIED
         height = command.param(7)
-        if self._mode != "GUIDED" or not self.armed or not self.on_ground or not 0.0 < height <= MAX_HEIGHT_M:
+        # Parameter 3: the pilot steers sideways, so that no position has to be held.
+        fits = self._mode in _TAKE_OFF or (self._mode == "ALT_HOLD" and command.param(3) != 0.0)
+        if not fits or not self.armed or not self.on_ground or not 0.0 < height <= MAX_HEIGHT_M:
             return FAILED
         goal = (self.body.x, self.body.y, self.home_z() + height)
         if not self.within_fence(goal):

@@ -21,6 +21,8 @@ POSITION_ONLY = 0x0DF8
 POSITION_AND_YAW = 0x09F8
 #: Use the three axes of velocity as well: a moving target.
 _VELOCITY_AXES = 0x0038
+#: Wait for an answer to ARM before it is sent again [s].
+ARM_ANSWER_TIMEOUT_S = 0.4
 
 
 class Transport(Enum):
@@ -121,8 +123,8 @@ class Autopilot(ABC):
         """MAV_CMD_DO_SET_MODE; KeyError if the name is unknown."""
 
     def arm(self) -> Command:
-        """Arm. Not idempotent: a late arm is dangerous."""
-        return Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), "arm")
+        """Arm. Not idempotent: a late arm is dangerous, so that there is little time to send it again."""
+        return Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), "arm", answer_timeout_s=ARM_ANSWER_TIMEOUT_S)
 
     def disarm(self) -> Command:
         """Disarm; both autopilots refuse it in the air."""
