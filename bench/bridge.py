@@ -170,7 +170,9 @@ def percentiles(values: list[float]) -> str:
 def serve(fleet: FleetConfig, traffic: bool, seconds: float, profile: bool, pipe: Connection) -> None:
     """Child: the bridge's controller; prints its figures and sends its CPU share."""
     settings = ControllerSettings(
-        aircraft=AircraftSettings(setpoint_rate_hz=TARGET_HZ, takeoff_height_m=HEIGHT_M, ready_timeout_s=60.0),
+        aircraft=AircraftSettings(
+            setpoint_rate_hz=TARGET_HZ, takeoff_height_m=HEIGHT_M, ready_timeout_s=60.0, simulated_clock=True
+        ),
         launch_stagger_s=0.0,
         traffic=TransitLimits(tracking_error_m=2.0, max_altitude_m=120.0) if traffic else None,
     )

@@ -218,8 +218,13 @@ def measure(devices: int, uavs: int, joins: int, seed: int) -> tuple[np.ndarray,
         rclpy.init(args=[])
         with Children(work) as children:
             for name, file in (("sim", "sim.yaml"), ("bridge", "bridge.yaml"), ("planner", "bridge.yaml")):
-                extra = {"sim": ["-p", "speedup:=5.0"], "planner": ["-p", "reoptimise:=false"]}.get(name, [])
-                children.start(name, [str(programs / name), "--ros-args", "-p", f"fleet_file:={work / file}", *extra])
+                extra = {
+                    "sim": "speedup:=5.0",
+                    "bridge": "simulated_clock:=true",
+                    "planner": "reoptimise:=false",
+                }[name]
+                command = [str(programs / name), "--ros-args", "-p", f"fleet_file:={work / file}", "-p", extra]
+                children.start(name, command)
             watch = Watch(names)
             watch.wait(lambda: watch.publisher.get_subscription_count() and watch.launch.service_is_ready(), "nodes")
             positions = rng.uniform(-SIDE_M / 2, SIDE_M / 2, (devices, 2))

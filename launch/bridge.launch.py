@@ -18,11 +18,16 @@ def generate_launch_description() -> LaunchDescription:
                 default_value=PathJoinSubstitution([config, "fleet_example.yaml"]),
                 description="Path of the fleet file, the same for planner, bridge and sim",
             ),
+            DeclareLaunchArgument(
+                "simulated_clock",
+                default_value="false",
+                description="Whether all aircraft are simulated, and may fly faster than the clock: true or false",
+            ),
             DeclareLaunchArgument("namespace", default_value="", description="ROS namespace of the node"),
             DeclareLaunchArgument(
                 "params_file",
                 default_value=PathJoinSubstitution([config, "params.yaml"]),
-                description="Path of the parameters file; fleet_file and use_sim_time override it",
+                description="Path of the parameters file; fleet_file, simulated_clock and use_sim_time override it",
             ),
             DeclareLaunchArgument(
                 "use_sim_time", default_value="false", description="Take the time from /clock: true or false"
@@ -39,6 +44,7 @@ def generate_launch_description() -> LaunchDescription:
                     LaunchConfiguration("params_file"),
                     {
                         "fleet_file": ParameterValue(LaunchConfiguration("fleet_file"), value_type=str),
+                        "simulated_clock": ParameterValue(LaunchConfiguration("simulated_clock"), value_type=bool),
                         "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
                     },
                 ],

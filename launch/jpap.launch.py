@@ -47,7 +47,7 @@ def generate_launch_description() -> LaunchDescription:
                 "log_level", default_value="info", description="Least level that is logged: debug, info, warn, error"
             ),
             _include("planner", (*SHARED, "scheme")),
-            _include("bridge", SHARED),
+            _include("bridge", SHARED, simulated_clock="sim"),
             _include("sim", SHARED, condition=IfCondition(LaunchConfiguration("sim"))),
             _include("markers", SHARED, condition=IfCondition(LaunchConfiguration("markers"))),
             _include("dashboard", SHARED, condition=IfCondition(LaunchConfiguration("dashboard"))),
@@ -56,9 +56,12 @@ def generate_launch_description() -> LaunchDescription:
     )
 
 
-def _include(node: str, arguments: tuple[str, ...], condition: IfCondition | None = None) -> IncludeLaunchDescription:
+def _include(
+    node: str, arguments: tuple[str, ...], condition: IfCondition | None = None, **renamed: str
+) -> IncludeLaunchDescription:
+    handed_on = {name: name for name in arguments} | renamed
     return IncludeLaunchDescription(
         PythonLaunchDescriptionSource(PathJoinSubstitution([ThisLaunchFileDir(), f"{node}.launch.py"])),
-        launch_arguments=[(name, LaunchConfiguration(name)) for name in arguments],
+        launch_arguments=[(theirs, LaunchConfiguration(ours)) for theirs, ours in handed_on.items()],
         condition=condition,
     )

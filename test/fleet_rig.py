@@ -114,7 +114,8 @@ class Rig:
     def control(
         self, fleet: FleetConfig, settings: ControllerSettings | None = None, **aircraft: Any
     ) -> FleetController:
-        settings = settings or ControllerSettings(aircraft=AircraftSettings(**aircraft), launch_stagger_s=0.0)
+        made = AircraftSettings(**{"simulated_clock": True, **aircraft})
+        settings = settings or ControllerSettings(aircraft=made, launch_stagger_s=0.0)
         return self._stack.enter_context(FleetController(fleet, settings, self.watch))
 
     def launched(self, fleet: FleetConfig, options: Any = None, **aircraft: Any) -> tuple[SimFleet, FleetController]:

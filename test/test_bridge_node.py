@@ -90,7 +90,7 @@ def test_from_goal_to_hover_and_back_to_hold(
     graph: Graph, start_node: Callable[..., NodeProcess], fleet_file: Path, fleet: FleetConfig, sim: SimFleet
 ) -> None:
     ears = Ears(graph, fleet.names)
-    bridge = start_node("bridge", {"fleet_file": str(fleet_file), "plan_timeout_s": 0.0})
+    bridge = start_node("bridge", {"fleet_file": str(fleet_file), "simulated_clock": True, "plan_timeout_s": 0.0})
     goals, plans = publisher(graph, PoseStamped, "uav1/goal_pose"), publisher(graph, Deployment, "deployment")
 
     first = goal(graph, 30.0, 40.0, 50.0)
@@ -186,7 +186,7 @@ def test_a_planner_that_falls_silent_means_hold(
 ) -> None:
     """The test plays the planner: it publishes the deployment, and diagnostics under its own node's name."""
     ears = Ears(graph, fleet.names)
-    start_node("bridge", {"fleet_file": str(fleet_file), "plan_timeout_s": 3.0})
+    start_node("bridge", {"fleet_file": str(fleet_file), "simulated_clock": True, "plan_timeout_s": 3.0})
     goals, plans = publisher(graph, PoseStamped, "uav1/goal_pose"), publisher(graph, Deployment, "deployment")
     diagnostics = graph.publisher(DiagnosticArray, "/diagnostics", readers=2)
     alive = DiagnosticArray(status=[DiagnosticStatus(name=f"{graph.node.get_fully_qualified_name()}: deployment")])

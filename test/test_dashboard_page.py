@@ -74,7 +74,12 @@ class System:
             "sim": ("sim", {"speedup": 6.0}),
             "bridge": (
                 "bridge",
-                {"transit_speed_m_s": 20.0, "transit_climb_m_s": 10.0, "transit_acceleration_m_s2": 5.0},
+                {
+                    "simulated_clock": True,
+                    "transit_speed_m_s": 20.0,
+                    "transit_climb_m_s": 10.0,
+                    "transit_acceleration_m_s2": 5.0,
+                },
             ),
             "planner": ("planner", {}),
             "dashboard": ("dashboard", {"port": self.port, "exercise": True}),

@@ -128,7 +128,7 @@ def test_two_waves_of_devices_become_a_hovering_fleet(
     # One plan for each wave: with its own scheme from scratch behind, the planner may publish another at any moment.
     nodes = [
         start_node("planner", {**parameters, "scheme": "jpap", "reoptimise": False}),
-        start_node("bridge", parameters),
+        start_node("bridge", {**parameters, "simulated_clock": True}),
     ]
     nodes.append(start_node("sim", {**parameters, "speedup": 5.0}))
     fleet = Fleet(graph, uavs)

@@ -16,13 +16,14 @@ from fleet_rig import PATIENCE_S, Rig, order, until
 
 from jpap_ros.fleet.config import FleetConfig
 from jpap_ros.fleet.transit_plan import TransitLimits
+from jpap_ros.mavlink.aircraft import AircraftSettings
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.sim import SimFleet, VehicleOptions
 
 LIMITS = TransitLimits(min_separation_m=10.0, tracking_error_m=2.0, speed_m_s=8.0)
 #: A second launch while the first waits for its turn is another question: none is needed here.
-SETTINGS = ControllerSettings(launch_stagger_s=0.0, traffic=LIMITS)
+SETTINGS = ControllerSettings(aircraft=AircraftSettings(simulated_clock=True), launch_stagger_s=0.0, traffic=LIMITS)
 
 
 @pytest.fixture

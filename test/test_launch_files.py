@@ -88,6 +88,10 @@ def test_the_launch_file_for_all_includes_each_node_with_arguments_that_it_decla
     for node in included:
         assert set(shared) <= declared(ROOT / "launch" / f"{node}.launch.py").keys()
     assert "scheme" in declared(ROOT / "launch" / "planner.launch.py")
+    renamed = {k.arg: k.value.value for c in calls(path, "_include") for k in c.keywords if k.arg != "condition"}
+    # Only simulated aircraft may fly faster than the clock.
+    assert renamed == {"simulated_clock": "sim"} and "sim" in declared(path)
+    assert "simulated_clock" in declared(ROOT / "launch" / "bridge.launch.py")
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

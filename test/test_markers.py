@@ -107,7 +107,7 @@ def test_a_deployment_from_first_report_to_departure(
     diagnostics = graph.collect(DiagnosticArray, "/diagnostics", 10)
     for executable, more in (
         ("sim", {"speedup": 10.0}),
-        ("bridge", {}),
+        ("bridge", {"simulated_clock": True}),
         ("planner", {}),
         ("markers", {"rate_hz": 20.0}),
     ):

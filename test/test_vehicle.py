@@ -152,37 +152,48 @@ def test_words_in_several_chunks() -> None:
 @pytest.mark.parametrize(
     ("boot_s", "rate"),
     [
-        # A real autopilot: two seconds of its clock in two of ours; and one whose frames come late by a third.
-        ([0.0, 1.0, 2.0], 1.0),
-        ([0.0, 0.6, 2.7], 1.0),
-        # Simulations that run faster.
-        ([0.0, 5.0, 10.0], 5.0),
-        ([0.0, 1.6, 3.2], 1.6),
-        # Not yet two seconds: not judged.
-        ([0.0, 20.0], 1.0),
+        # At the pace of ours; and frames that come late by a third.
+        ([0.0, 1.0, 2.0, 3.0], 1.0),
+        ([0.0, 0.6, 2.7, 3.2], 1.0),
+        # Simulations that run faster, the last with frames that come late.
+        ([0.0, 5.0, 10.0, 15.0], 5.0),
+        ([0.0, 1.6, 3.2, 4.8], 1.6),
+        ([0.0, 4.0, 11.0, 15.0], 5.0),
+        # Not yet three seconds: not judged.
+        ([0.0, 20.0, 40.0], 1.0),
+        # A link that stalled for a moment and made it up.
+        ([0.0, 0.2, 0.4, 3.0, 4.0, 5.0], 1.0),
+        ([0.0, 5.0, 10.0, 10.1, 20.0, 25.0], 1.0),
     ],
 )
 def test_how_fast_its_clock_runs(boot_s: list[float], rate: float) -> None:
-    """Oracle: milliseconds since its boot per second of ours, by hand over 2 s; below 1.5 it counts as 1."""
-    vehicle = Vehicle(1)
+    """Oracle: seconds since its boot per second of ours, by hand over 3 s, each of which must bring 1.5 or more."""
+    vehicle = Vehicle(1, simulated_clock=True)
     for second, boot in enumerate(boot_s):
         vehicle.hear(position(1000 + round(boot * 1e3)), 50.0 + second)
     assert vehicle.clock_rate == pytest.approx(rate)
 
 
 def test_its_clock_is_judged_anew_all_the_time_and_after_a_reboot() -> None:
-    vehicle = Vehicle(1)
-    for second in range(3):
+    vehicle = Vehicle(1, simulated_clock=True)
+    for second in range(4):
         vehicle.hear(position(10_000 + 8000 * second), 50.0 + second)
     assert vehicle.clock_rate == 8.0
-    for second in range(3):
-        vehicle.hear(position(26_000 + 1000 * second), 52.0 + second)
+    vehicle.hear(position(35_000), 54.0)
     assert vehicle.clock_rate == 1.0
-    for second in range(3):
-        vehicle.hear(position(28_000 + 8000 * second), 54.0 + second)
+    for second in range(4):
+        vehicle.hear(position(36_000 + 8000 * second), 55.0 + second)
     assert vehicle.clock_rate == 8.0
-    assert vehicle.hear(position(100), 57.0)
+    assert vehicle.hear(position(100), 59.0)
     assert vehicle.clock_rate == 1.0
+
+
+def test_a_real_autopilots_clock_is_never_believed_to_be_fast() -> None:
+    """Whatever comes: even ten seconds of frames that come three times as fast, as after a long stall."""
+    vehicle = Vehicle(1)
+    for quarter in range(40):
+        vehicle.hear(position(10_000 + 750 * quarter), 50.0 + quarter / 4)
+        assert vehicle.clock_rate == 1.0
 
 
 class TestSightings:

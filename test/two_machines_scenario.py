@@ -66,7 +66,7 @@ def main(loss: float, delay_s: float) -> None:
             stack.callback(lambda: sys.stdout.write(f"--- {executable}\n{node.output}\n"))
 
         start(field, "sim", speedup=5.0)
-        start(field, "bridge")
+        start(field, "bridge", simulated_clock=True)
         start(ground, "planner")
         with ground.inside():
             graph = Graph("operator")

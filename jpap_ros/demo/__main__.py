@@ -121,7 +121,7 @@ def _start_nodes(
     settings: dict[str, Mapping[str, Any]] = {
         **watchers,
         "sim": {"speedup": scenario.speedup, **scenario.sim},
-        "bridge": scenario.bridge,
+        "bridge": {"simulated_clock": True, **scenario.bridge},
         "planner": {**_hastened(scenario.speedup), **scenario.planner},
     }
     for name, parameters in settings.items():

@@ -106,6 +106,8 @@ class AircraftSettings:
     ready_timeout_s : float
         How long a launch waits for GPS, home and pre-arm checks [s].
     transport : Transport
+    simulated_clock : bool
+        The aircraft are simulated, and may fly faster than the clock.
     limits : GoalLimits
     """
 
@@ -115,6 +117,7 @@ class AircraftSettings:
     link_timeout_s: float = 4.0
     ready_timeout_s: float = 30.0
     transport: Transport = Transport.SETPOINT
+    simulated_clock: bool = False
     limits: GoalLimits = field(default_factory=GoalLimits)
 
 
@@ -149,7 +152,7 @@ class Aircraft:
         self.config = config
         self.settings = settings
         self.datum = AltitudeDatum(config.altitude_datum)
-        self.vehicle = Vehicle(config.sysid, settings.link_timeout_s)
+        self.vehicle = Vehicle(config.sysid, settings.link_timeout_s, settings.simulated_clock)
         self.autopilot: Autopilot | None = None
         self.commands = CommandChannel(send, own, (config.sysid, AUTOPILOT_COMPONENT))
         self.authority = Authority()

@@ -7,14 +7,16 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import pairwise
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 #: The autopilot's own component; gimbals and companions share its system id.
 AUTOPILOT_COMPONENT = 1
-#: The autopilot's clock is compared with ours over this long [s]; it runs fast beyond this rate.
-CLOCK_WINDOW_S = 2.0
+#: The autopilot's clock is compared with ours over windows of this length [s]. It runs fast if so many in a row are
+#: beyond this rate: after a stall of the link one is, when all that was held up comes at once.
+CLOCK_WINDOWS, CLOCK_WINDOW_S = 3, 1.0
 FAST_CLOCK = 1.5
 #: time_boot_ms may fall behind by this much without a reboot: packets overtake one another [ms].
 REORDER_MS = 5_000
@@ -108,11 +110,14 @@ class Vehicle:
         MAVLink system id.
     link_timeout_s : float
         Lost after this long without a heartbeat.
+    simulated_clock : bool
+        It may be a simulation whose clock runs faster than ours; a real one's never does, whatever a link makes of it.
     """
 
-    def __init__(self, sysid: int, link_timeout_s: float = 4.0) -> None:
+    def __init__(self, sysid: int, link_timeout_s: float = 4.0, simulated_clock: bool = False) -> None:
         self.sysid = sysid
         self.link_timeout_s = link_timeout_s
+        self._simulated_clock = simulated_clock
         self.link = LinkState.NEVER_SEEN
         self.heartbeat_at = -math.inf
         self.reboots = 0
@@ -149,7 +154,8 @@ class Vehicle:
         self.words: deque[Words] = deque(maxlen=_WORDS_KEPT)
         self._chunks: dict[int, dict[int, str]] = {}
         self._boot_ms: int | None = None
-        self._clock_since: tuple[int, float] | None = None
+        #: The autopilot's clock [ms] and ours [s] at the ends of the last windows.
+        self._clock_marks: deque[tuple[int, float]] = deque(maxlen=CLOCK_WINDOWS + 1)
         #: Seconds of the autopilot's clock in one of ours: 1, or more in a simulation that runs faster.
         self.clock_rate = 1.0
 
@@ -225,13 +231,13 @@ class Vehicle:
         self.link = LinkState.CONNECTED
 
     def _watch_clock(self, boot_ms: int, now: float) -> None:
-        if self._clock_since is None:
-            self._clock_since = boot_ms, now
-        elif now - self._clock_since[1] >= CLOCK_WINDOW_S:
-            rate = (boot_ms - self._clock_since[0]) / 1e3 / (now - self._clock_since[1])
-            # Real clocks agree; what differs by less is delay on the link.
-            self.clock_rate = rate if rate > FAST_CLOCK else 1.0
-            self._clock_since = boot_ms, now
+        marks = self._clock_marks
+        if not self._simulated_clock or (marks and now - marks[-1][1] < CLOCK_WINDOW_S):
+            return
+        marks.append((boot_ms, now))
+        # What differs by less is delay on the link.
+        fast = all(_rate(*window) > FAST_CLOCK for window in pairwise(marks))
+        self.clock_rate = _rate(marks[0], marks[-1]) if fast and len(marks) > CLOCK_WINDOWS else 1.0
 
     def _global_position(self, message: Any, now: float) -> None:
         self._watch_clock(message.time_boot_ms, now)
@@ -294,6 +300,11 @@ class Vehicle:
             del self._chunks[message.id]
             text = "".join(chunks[i] for i in sorted(chunks))
         self.words.append(Words(message.severity, text, now))
+
+
+def _rate(begin: tuple[int, float], end: tuple[int, float]) -> float:
+    """Seconds of the autopilot's clock in one of ours, between two marks."""
+    return (end[0] - begin[0]) / 1e3 / (end[1] - begin[1])
 
 
 def _plausible(lat_e7: int, lon_e7: int, altitude_mm: int) -> bool:
