@@ -162,7 +162,8 @@ def test_a_pilot_keeps_the_aircraft_until_an_operator_asks(
     goals = graph.node.create_publisher(PoseStamped, "uav1/goal_pose", LATCHED)
     # Latched before there is a bridge: a late one gets it.
     goals.publish(goal(graph, 2000.0, 0.0, 50.0))
-    bridge = start_node("bridge", {"fleet_file": str(fleet_file)})
+    # Goals by hand: no planner is to be missed.
+    bridge = start_node("bridge", {"fleet_file": str(fleet_file), "plan_timeout_s": 0.0})
     assert graph.call(FleetCommand, "bridge/launch", FleetCommand.Request(uavs=["uav1"])).success
     ears.until("uav1", lambda s: s.goal_state == VehicleState.GOAL_EN_ROUTE, "en route")
     sim["uav1"].pilot_takes("LOITER")
@@ -201,6 +202,30 @@ def test_a_planner_that_falls_silent_means_hold(
     heartbeat.cancel()
     held = ears.until("uav1", lambda s: s.goal_state == VehicleState.GOAL_NONE, "holds")
     assert "planner silent" in held.goal_reason and held.goal_plan_id == 7
+
+
+def test_goals_that_nobody_answers_for_mean_hold(
+    graph: Graph, start_node: Callable[..., NodeProcess], fleet_file: Path, fleet: FleetConfig, sim: SimFleet
+) -> None:
+    """A goal whose deployment does not come; then a latched deployment with an old stamp, as a hung planner leaves it.
+
+    Oracle: `plan_timeout_s` after the first goal, which is the only sign of life here until another goal comes.
+    """
+    ears = Ears(graph, fleet.names)
+    start_node("bridge", {"fleet_file": str(fleet_file), "simulated_clock": True, "plan_timeout_s": 3.0})
+    goals, plans = publisher(graph, PoseStamped, "uav1/goal_pose"), publisher(graph, Deployment, "deployment")
+    far = goal(graph, 4500.0, 0.0, 50.0)
+    far.header.stamp.sec -= 3600
+    goals.publish(far)
+    assert graph.call(FleetCommand, "bridge/launch", FleetCommand.Request(uavs=["uav1"])).success
+    ears.until("uav1", lambda s: "planner silent" in s.goal_reason, "holds")
+    plans.publish(plan(far.header.stamp, 7, "uav1"))
+    held = ears.until("uav1", lambda s: s.goal_plan_id == 7, "the deployment is known")
+    graph.spin(1.5)
+    assert "planner silent" in held.goal_reason and "planner silent" in ears.states["uav1"][-1].goal_reason
+    # Who sends goals by hand answers for them each time.
+    goals.publish(goal(graph, 4500.0, 10.0, 50.0))
+    ears.until("uav1", lambda s: s.goal_state == VehicleState.GOAL_EN_ROUTE, "flies on")
 
 
 def test_unknown_names_and_vehicles_never_heard(

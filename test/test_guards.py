@@ -108,9 +108,16 @@ class TestDatum:
 
 
 class TestDeadman:
+    def test_the_first_goal_starts_the_clock_and_no_other_does(self) -> None:
+        deadman = PlanDeadman(10.0)
+        deadman.start(100.0)
+        deadman.start(105.0)
+        assert deadman.silence_s(109.9) is None
+        assert deadman.silence_s(112.0) == 12.0
+
     def test_silence_counts_from_the_last_sign(self) -> None:
         deadman = PlanDeadman(10.0)
-        assert deadman.silence_s(1e6) is None  # there never was a planner
+        assert deadman.silence_s(1e6) is None  # there never was a goal
         deadman.feed(100.0)
         assert deadman.silence_s(109.9) is None
         assert deadman.silence_s(112.0) == 12.0

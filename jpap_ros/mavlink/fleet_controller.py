@@ -237,6 +237,7 @@ class FleetController:
     def set_goal(self, name: str, goal: Goal) -> None:
         """Give an aircraft a goal; KeyError if there is no such aircraft."""
         member = self._members[name]
+        self._call(self._deadman.start)
         self._call(lambda now: self._change(member, lambda: member.aircraft.set_goal(goal), now))
 
     def clear_goal(self, name: str, reason: str = "", refused: bool = False) -> None:

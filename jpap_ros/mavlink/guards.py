@@ -132,12 +132,18 @@ class PlanDeadman:
     Parameters
     ----------
     timeout_s : float
-        Goals are in force for this long after the last sign of the planner; 0: for ever.
+        Goals are in force for this long after the last sign of the planner, or after the first goal if there never was
+        one; 0: for ever.
     """
 
     def __init__(self, timeout_s: float) -> None:
         self.timeout_s = timeout_s
         self._fed_at: float | None = None
+
+    def start(self, now: float) -> None:
+        """There is a goal: from the first one on somebody must be there who answers for it."""
+        if self._fed_at is None:
+            self._fed_at = now
 
     def feed(self, now: float) -> None:
         """The planner gave a sign of life."""

@@ -8,6 +8,7 @@ from concurrent.futures import Future as Outcome
 from functools import partial
 from pathlib import Path
 
+from builtin_interfaces.msg import Time as Stamp
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from jpap_msgs.msg import Deployment, FleetCommandResult, VehicleState
@@ -18,6 +19,7 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.task import Future
+from rclpy.time import Time
 from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Header
 
@@ -65,6 +67,7 @@ class BridgeNode(Node):
         self._plan_dir_problem = ""
         self._fleet = fleet
         self._plan_id: int | None = None
+        self._plan_timeout = Duration(seconds=settings["plan_timeout_s"])
         self._names = fleet.names
         self._book = GoalBook()
         self._fresh: dict[str, AircraftSnapshot] = {}
@@ -134,13 +137,14 @@ class BridgeNode(Node):
         if stamp.sec == 0 and stamp.nanosec == 0:
             # Unset, as from a hand-written message: now.
             stamp = self.get_clock().now().to_msg()
+        self._look_for_planner(stamp)
         self._book.put_goal(name, (stamp.sec, stamp.nanosec), goal_of(message, self._use_yaw))
         self._follow_book(name)
 
     def _on_deployment(self, message: Deployment) -> None:
         assert self._controller is not None
-        self._controller.planner_alive()
         stamp = message.header.stamp
+        self._look_for_planner(stamp)
         self._book.put_plan((stamp.sec, stamp.nanosec), message.plan_id, [cell.uav for cell in message.cells])
         for name in self._names:
             self._follow_book(name)
@@ -154,6 +158,12 @@ class BridgeNode(Node):
                     self._controller.announce(cell.uav, f"Plan {message.plan_id}: {devices} devices, {where}")
         if self._plan_dir is not None:
             self._write_plan(self._plan_dir, message)
+
+    def _look_for_planner(self, stamp: Stamp) -> None:
+        """What was said just now shows that the planner lives; a latched message may be of one that hangs."""
+        assert self._controller is not None
+        if self.get_clock().now() - Time.from_msg(stamp) <= self._plan_timeout:
+            self._controller.planner_alive()
 
     def _write_plan(self, folder: Path, message: Deployment) -> None:
         """Show the plan in files; the same trouble is told once, and flying goes on."""
@@ -180,10 +190,8 @@ class BridgeNode(Node):
             self._controller.set_goal(name, entry.goal)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        """Whoever publishes the deployment and says how it is, lives; without a deployment there is nobody to miss."""
+        """Whoever publishes the deployment and says how it is, lives."""
         assert self._controller is not None
-        if self._plan_id is None:
-            return
         planners = [
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self.get_publishers_info_by_topic(self.resolve_topic_name("deployment"))
