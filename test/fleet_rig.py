@@ -139,6 +139,11 @@ def commands(vehicle: SimVehicle, command: int | None = None) -> list[Any]:
     return [m for m in heard if m.command not in chatter and command in (None, m.command)]
 
 
+def distinct(vehicle: SimVehicle, command: int | None = None) -> list[Any]:
+    """The same without repetitions: on a busy machine an answer may take longer than a command waits for it."""
+    return [m for m in commands(vehicle, command) if getattr(m, "confirmation", 0) == 0]
+
+
 def setpoints(vehicle: SimVehicle) -> list[Any]:
     with vehicle.lock:
         return [r.message for r in vehicle.received if r.kind == "SET_POSITION_TARGET_GLOBAL_INT"]

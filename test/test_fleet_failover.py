@@ -15,7 +15,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 
 import pytest
-from fleet_rig import ARM, TAKEOFF, Rig, commands, distance, order, until
+from fleet_rig import ARM, TAKEOFF, Rig, distance, distinct, order, until
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import LinkUrl
@@ -153,4 +153,4 @@ def test_everything_goes_on_over_the_other_link(rig: Rig) -> None:
             # A busy machine can make the first link look doubtful for a moment, but not for long.
             alone = Alone(first, second)
             until(alone.for_a_while, "the second one rests")
-            assert len(commands(sim[name], ARM)) == len(commands(sim[name], TAKEOFF)) == 1
+            assert len(distinct(sim[name], ARM)) == len(distinct(sim[name], TAKEOFF)) == 1

@@ -18,6 +18,7 @@ from fleet_rig import (
     TAKEOFF,
     Rig,
     commands,
+    distinct,
     order,
     setpoints,
     until,
@@ -112,7 +113,7 @@ def test_a_lost_link_is_told_and_the_flight_goes_on_when_it_is_back(sky: Sky) ->
     watch.until_goal("lost_ap", GoalState.REACHED)
     assert back["lost_px4"].goal_state is GoalState.YIELDED
     for name in names:
-        assert len(commands(sky.sim[name], ARM)) == len(commands(sky.sim[name], TAKEOFF)) == 1
+        assert len(distinct(sky.sim[name], ARM)) == len(distinct(sky.sim[name], TAKEOFF)) == 1
 
 
 def test_the_autopilots_own_fence_shows_as_a_rejection(sky: Sky) -> None:
@@ -177,11 +178,11 @@ def test_every_reason_not_to_fly_is_told_and_nothing_arms(rig: Rig) -> None:
     assert messages["uav5"] == "not ready: never heard"
     assert "take off: failed" in messages["uav6"]
     assert "no UAV named 'uav9'" in messages["uav9"] and "uav1, uav2" in messages["uav9"]
-    armings = [sum(m.param1 == 1.0 for m in commands(vehicle, ARM)) for vehicle in sim]
+    armings = [sum(m.param1 == 1.0 for m in distinct(vehicle, ARM)) for vehicle in sim]
     assert armings == [0, 1, 0, 0, 0, 1]
     # A failed take-off is disarmed again.
     rig.watch.until("uav6", lambda s: not s.armed)
-    assert len(commands(sim["uav6"], TAKEOFF)) == 1
+    assert len(distinct(sim["uav6"], TAKEOFF)) == 1
     assert not any(vehicle.armed for vehicle in sim)
     # On the ground and not launched, it is nobody's: a change of mode is no takeover.
     sim["uav2"].pilot_takes("LOITER")

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from fleet_rig import Watch, commands, order, setpoints
+from fleet_rig import Watch, distinct, order, setpoints
 
 from jpap_ros.fleet.config import FleetConfig, LinkUrl, MapOrigin, UavConfig
 from jpap_ros.mavlink.aircraft import AircraftSettings
@@ -106,4 +106,4 @@ def test_a_ground_station_takes_a_vehicle_over_and_the_bridge_yields(fleet: Flee
         assert order(controller, FleetOrder.LAUNCH, ("uav1",))["uav1"].success
         watch.until_goal("uav1", GoalState.REACHED)
         # MAVProxy asks questions of its own when it pleases.
-        assert [m.command for m in commands(vehicle) if m.get_srcSystem() == settings.sysid] == [176]
+        assert [m.command for m in distinct(vehicle) if m.get_srcSystem() == settings.sysid] == [176]
