@@ -16,6 +16,7 @@ from jpap_ros.fleet.fence import Fence
 from jpap_ros.fleet.traffic import Setpoint
 from jpap_ros.mavlink import procedures
 from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings
+from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.mavlink.guards import GoalLimits, PlanDeadman
@@ -34,7 +35,7 @@ class Rig:
         self.wire: list[Any] = []
         self.deadman = PlanDeadman(0.0)
         self.answers = answers
-        self.mode = GUIDED
+        self.mode, self.autopilot = GUIDED, 3
         self.aircraft = Aircraft(
             config or UavConfig("uav1", 1, ()),
             LocalFrame(ORIGIN),
@@ -50,13 +51,15 @@ class Rig:
         self.wire.append(message)
         if self.answers and message.get_type().startswith("COMMAND"):
             if message.command == mavlink.MAV_CMD_DO_SET_MODE:
-                self.mode = int(message.param2)
+                main, sub = int(message.param2), int(message.param3)
+                self.mode = main if self.autopilot == 3 else main << 16 | sub << 24
             self.hear(mavlink.MAVLink_command_ack_message(message.command, 0, 0, 0, 245, 191))
 
     def hear(self, message: Any, source: tuple[int, int] = VEHICLE) -> None:
         self.aircraft.hear(message, source, self.now)
 
-    def heartbeat(self, autopilot: int = 3, kind: int = mavlink.MAV_TYPE_QUADROTOR, status: int = 4) -> None:
+    def heartbeat(self, autopilot: int | None = None, kind: int = mavlink.MAV_TYPE_QUADROTOR, status: int = 4) -> None:
+        autopilot = self.autopilot if autopilot is None else autopilot
         self.hear(mavlink.MAVLink_heartbeat_message(kind, autopilot, 0x81, self.mode, status, 3))
 
     def position(self, east_m: float = 0.0, north_m: float = 0.0, up_m: float = 50.0) -> None:
@@ -72,19 +75,24 @@ class Rig:
         """Everything that a healthy aircraft in the air says."""
         self.heartbeat()
         self.hear(mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 15_900, -1, 87, 0, 0, 0, 0, 0, 0))
-        self.hear(mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR))
+        self.landed_state()
         if home:
             lat, lon = round(ORIGIN.latitude * 1e7), round(ORIGIN.longitude * 1e7)
             self.hear(mavlink.MAVLink_home_position_message(lat, lon, 20_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0))
         self.position()
 
-    def run(self, seconds: float, position: bool = True) -> None:
+    def landed_state(self) -> None:
+        self.hear(mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR))
+
+    def run(self, seconds: float, position: bool = True, landed: bool = True) -> None:
         for tenth in range(round(seconds * 10)):
             self.now += 0.1
             if tenth % 10 == 0:
                 self.heartbeat()
             if position and tenth % 5 == 0:
                 self.position()
+            if landed and tenth % 5 == 0:
+                self.landed_state()
             self.aircraft.tick(self.now)
 
     def launched(self) -> Rig:
@@ -136,6 +144,106 @@ def test_a_gap_in_positions_turns_nobody_back() -> None:
     rig.run(8.0, position=False)
     assert {m.lon_int for m in rig.targets} == {before}
     assert rig.goal[0] is not GoalState.NONE
+
+
+def test_without_a_position_it_holds_in_the_end_where_it_was_last_heard() -> None:
+    """Oracle: 10 s by hand. Nothing else could be known of how it flies on."""
+    rig = Rig().launched()
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(1.0)
+    rig.position(east_m=20.0)
+    rig.run(9.8, position=False)
+    assert rig.goal[0] is GoalState.EN_ROUTE
+    rig.wire.clear()
+    rig.run(3.0, position=False)
+    assert rig.goal == (GoalState.NONE, "waiting: its position is not known")
+    assert len({(m.lat_int, m.lon_int, m.alt) for m in rig.targets[1:]}) == 1
+    last = rig.targets[-1]
+    assert LocalFrame(ORIGIN).to_map(last.lat_int / 1e7, last.lon_int / 1e7) == pytest.approx((20.0, 0.0), abs=0.1)
+    rig.run(1.0)
+    assert rig.goal[0] is GoalState.SENT
+
+
+@pytest.mark.parametrize("transport", list(Transport))
+@pytest.mark.parametrize("autopilot", [3, 12])
+def test_who_is_told_to_hold_and_does_not_tell_its_home_holds(autopilot: int, transport: Transport) -> None:
+    """ArduPilot's hold and PX4's with `reposition` are targets; the vehicle's own altitude needs no home."""
+    rig = Rig(transport=transport)
+    rig.autopilot = autopilot
+    rig.flying(home=False)
+    rig.aircraft.run(procedures.hold(rig.aircraft), lambda ok, text: rig.done.append((ok, text)), "hold")
+    rig.run(3.0)
+    ((success, _),) = rig.done
+    assert success
+    positions = [m for m in rig.wire if m.get_type() == "COMMAND_INT" and m.command == mavlink.MAV_CMD_DO_REPOSITION]
+    sent = [(m.coordinate_frame, m.alt) for m in rig.targets] + [(m.frame, m.z) for m in positions]
+    assert set(sent) == (set() if (autopilot, transport) == (12, Transport.SETPOINT) else {(5, 70.0)})
+
+
+def test_a_target_that_cannot_be_encoded_is_told_and_nothing_is_sent() -> None:
+    rig = Rig().launched()
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(1.0)
+    assert rig.goal[0] is GoalState.SENT
+    rig.wire.clear()
+    rig.aircraft.vehicle.home = None
+    rig.run(2.0)
+    assert rig.goal[0] is GoalState.REJECTED and "home is not set" in rig.goal[1]
+    assert rig.targets == []
+
+
+HOLD_PX4 = 4 << 16 | 3 << 24
+
+
+@pytest.mark.parametrize(
+    ("message", "taken"),
+    [
+        (mavlink.MAVLink_set_mode_message(1, 1, HOLD_PX4), True),
+        (mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, 1, 4, 3, 0, 0, 0, 0), True),
+        (
+            mavlink.MAVLink_command_int_message(1, 1, 5, mavlink.MAV_CMD_DO_REPOSITION, 0, 0, -1, 1, 0, 0, 1, 1, 50),
+            True,
+        ),
+        (mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0, 0, 0, 0, 0, 0, 0, 0), True),
+        (mavlink.MAVLink_mission_item_int_message(1, 1, 0, 6, 16, 2, 0, 0, 0, 0, 0, 1, 1, 50), True),
+        (mavlink.MAVLink_mission_item_int_message(1, 1, 0, 6, 16, 0, 1, 0, 0, 0, 0, 1, 1, 50), False),
+        # What a heartbeat will show, if it is done; and what changes nothing.
+        (mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, 1, 4, 5, 0, 0, 0, 0), False),
+        (mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 33, 0, 0, 0, 0, 0, 0), False),
+        (mavlink.MAVLink_param_request_list_message(1, 1), False),
+    ],
+)
+def test_a_station_that_steers_in_the_very_mode_of_the_goals_has_the_aircraft(message: Any, taken: bool) -> None:
+    """PX4 by reposition: Hold is the mode of the goals and of the station's Hold alike."""
+    rig = Rig(transport=Transport.REPOSITION)
+    rig.autopilot, rig.mode = 12, HOLD_PX4
+    rig.launched()
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(1.0)
+    parser = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    (heard,) = mavlink.MAVLink(None).parse_buffer(message.pack(parser)) or []
+    rig.aircraft.overhear(heard, rig.now)
+    rig.wire.clear()
+    rig.aircraft.set_goal(Goal(50.0, 0.0, 50.0))
+    rig.run(3.0)
+    assert rig.aircraft.authority.ours is not taken
+    assert bool([m for m in rig.wire if getattr(m, "command", 0) == mavlink.MAV_CMD_DO_REPOSITION]) is not taken
+    if taken:
+        assert rig.goal[0] is GoalState.YIELDED and "sysid 255" in rig.goal[1] and message.get_type() in rig.goal[1]
+
+
+def test_an_error_that_nobody_foresaw_leaves_it_to_its_autopilot_until_the_next_order() -> None:
+    rig = Rig().launched()
+    rig.aircraft.set_goal(Goal(100.0, 0.0, 50.0))
+    rig.run(1.0)
+    assert rig.aircraft.fail(KeyError("x"), rig.now) and not rig.aircraft.fail(KeyError("x"), rig.now)
+    rig.wire.clear()
+    rig.run(3.0)
+    assert rig.targets == [] and rig.goal[0] is GoalState.YIELDED
+    assert any("KeyError" in problem for problem in rig.aircraft.problems())
+    rig.aircraft.run(procedures.hold(rig.aircraft), lambda ok, text: rig.done.append((ok, text)), "hold")
+    rig.run(1.0)
+    assert rig.done[-1][0] and rig.aircraft.problems() == [] and rig.targets
 
 
 def test_a_critical_vehicle_gets_no_goal_and_holds() -> None:
@@ -229,6 +337,20 @@ def test_everything_is_asked_for_again_when_positions_stop() -> None:
     assert rig.wire == [], "while they come, nothing is asked"
     rig.run(10.0, position=False)
     assert {round(m.param1) for m in rig.wire if m.command == 511} == set(WANTED)
+
+
+def test_the_landed_state_alone_is_asked_for_again_when_it_falls_silent() -> None:
+    rig = Rig()
+    rig.flying()
+    rig.run(5.0)
+    rig.wire.clear()
+    rig.run(10.0, landed=False)
+    asked = {round(m.param1) for m in rig.wire if m.command == 511}
+    assert asked == {mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE}
+    rig.run(1.0)
+    rig.wire.clear()
+    rig.run(5.0)
+    assert rig.wire == []
 
 
 def test_the_deadman_holds_and_releases() -> None:

@@ -24,8 +24,12 @@ from fleet_rig import (
     until,
     velocity,
 )
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from sim_peer import Peer
 
 from jpap_ros.fleet.config import LinkUrl
+from jpap_ros.mavlink.aircraft import Aircraft
+from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.mavlink.vehicle import LinkState
@@ -191,6 +195,71 @@ def test_every_reason_not_to_fly_is_told_and_nothing_arms(rig: Rig) -> None:
     assert any("SYSID_ENFORCE" in problem for problem in enforced.problems)
     unknown = rig.watch.until("uav3", lambda s: s.link is LinkState.CONNECTED)
     assert unknown.position is None
+
+
+def test_a_pilot_who_takes_over_the_moment_it_is_armed_keeps_it(rig: Rig) -> None:
+    """ArduCopter would take off in LOITER too. It was in LOITER just before: the heartbeat could be a late one."""
+    fleet = rig.fleet()
+    sim = rig.fly(fleet)
+    vehicle = sim["uav1"]
+    vehicle.pilot_takes("LOITER")
+    vehicle.armed_now = lambda: vehicle.change_mode("LOITER")  # type: ignore[method-assign]
+    controller = rig.control(fleet)
+    result = order(controller, FleetOrder.LAUNCH, ("uav1",))["uav1"]
+    assert not result.success and "LOITER without the bridge asking" in result.message
+    time.sleep(1.5)  # only to see that nothing happens
+    assert {m.command for m in commands(vehicle)} == {mavlink.MAV_CMD_DO_SET_MODE, ARM}
+    assert vehicle.mode == "LOITER"
+
+
+def test_a_stations_hold_is_a_takeover_though_px4_flies_goals_in_hold(rig: Rig) -> None:
+    """Oracle: the vehicle's record: after the station's command nothing of the bridge reaches it."""
+    with Peer.udp(*rig.ports(1)) as station:
+        fleet = replace(rig.fleet(autopilot="px4"), gcs_urls=(LinkUrl("udpout", "127.0.0.1", station.port),))
+        sim, controller = rig.launched(fleet, transport=Transport.REPOSITION)
+        controller.set_goal("uav1", Goal(3000.0, 0.0, 50.0))
+        rig.watch.until_goal("uav1", GoalState.EN_ROUTE)
+        station.mav.srcSystem, station.mav.srcComponent = 255, 190
+        hold = (mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, 4, 3)
+        station.send(mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, *hold, 0, 0, 0, 0))
+        yielded = rig.watch.until_goal("uav1", GoalState.YIELDED)
+        assert "ground station with sysid 255" in yielded.goal_reason
+        until(lambda: any(r.source[0] == 255 for r in sim["uav1"].received), "the station's command has arrived")
+        with sim["uav1"].lock:
+            sim["uav1"].received.clear()
+        controller.set_goal("uav1", Goal(0.0, 100.0, 50.0))
+        time.sleep(1.5)  # only to see that nothing happens
+        assert commands(sim["uav1"]) == []
+
+
+def test_an_error_with_one_aircraft_is_told_and_the_others_fly_on(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    fleet = rig.mixed(bad=PX4, good=PX4)
+    sim, controller = rig.launched(fleet)
+    for name in fleet.names:
+        controller.set_goal(name, Goal(3000.0, 50.0, 50.0))
+    for name in fleet.names:
+        rig.watch.until_goal(name, GoalState.EN_ROUTE)
+    tick = Aircraft.tick
+
+    def broken(aircraft: Aircraft, now: float) -> None:
+        if aircraft.config.name == "bad" and aircraft.authority.ours:
+            raise KeyError("nobody foresaw it")
+        tick(aircraft, now)
+
+    monkeypatch.setattr(Aircraft, "tick", broken)
+    told = rig.watch.until("bad", lambda s: s.goal_state is GoalState.YIELDED)
+    assert any("nobody foresaw it" in problem for problem in told.problems)
+    # As when the bridge stops: OFFBOARD would end in a failsafe.
+    rig.watch.until("bad", lambda s: s.mode == "AUTO.LOITER")
+    monkeypatch.undo()
+    assert sim["good"].mode == "OFFBOARD" and controller.failure is None
+    assert "Traceback" in caplog.text and caplog.text.count("nobody foresaw it") < 5
+    controller.set_goal("good", Goal(100.0, 0.0, 30.0))
+    rig.watch.until_goal("good", GoalState.REACHED)
+    assert order(controller, FleetOrder.LAUNCH, ("bad",))["bad"].success
+    rig.watch.until("bad", lambda s: s.goal_state is GoalState.EN_ROUTE and s.problems == ())
 
 
 def test_a_silent_planner_means_hold_and_its_return_means_flying_on(rig: Rig) -> None:

@@ -132,7 +132,7 @@ def test_who_climbs_is_left_alone_until_it_is_in_the_air() -> None:
     rig = resumed(Rig())
     rig.flying()
     rig.hear(mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_TAKEOFF))
-    rig.run(2.0)
+    rig.run(2.0, landed=False)
     assert rig.targets == [] and rig.done == []
     assert rig.aircraft.flown, "killed once more, it would still be left to the next one"
     rig.hear(mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR))

@@ -196,6 +196,23 @@ def test_a_real_autopilots_clock_is_never_believed_to_be_fast() -> None:
         assert vehicle.clock_rate == 1.0
 
 
+def test_a_landed_state_counts_while_it_is_heard() -> None:
+    """Oracle: 10 s by hand; without it, armed and 1 m off the ground is in the air."""
+    vehicle = Vehicle(1)
+    beat = mavlink.MAVLink_heartbeat_message(2, 3, mavlink.MAV_MODE_FLAG_SAFETY_ARMED, 4, 4, 3)
+    vehicle.hear(beat, 50.0)
+    vehicle.hear(mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR), 50.0)
+    vehicle.hear(mavlink.MAVLink_global_position_int_message(1000, 1, 1, 300, 300, 0, 0, 0, 0), 50.0)
+    for second in (51.0, 59.0):
+        vehicle.hear(beat, second)
+        vehicle.update(second + 1.0)
+        assert vehicle.in_air
+    vehicle.update(60.1)
+    assert not vehicle.in_air and not vehicle.on_ground
+    vehicle.hear(mavlink.MAVLink_global_position_int_message(2000, 1, 1, 5000, 5000, 0, 0, 0, 0), 60.2)
+    assert vehicle.in_air
+
+
 class TestSightings:
     """Oracle: the rule in the class's notes, followed by hand."""
 

@@ -37,6 +37,7 @@ from jpap_ros.mavlink.guards import (
     target_of,
 )
 from jpap_ros.mavlink.statistics import Traffic
+from jpap_ros.mavlink.steering import steers
 from jpap_ros.mavlink.streams import StreamRequests
 from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState, Vehicle
 
@@ -50,6 +51,8 @@ FENCE_SWAY_M = 1.0
 MOVING_TARGET_HZ = 5.0
 #: An echo sooner than this after its target was changed may still be of the one before [s].
 ECHO_SETTLED_S = 3.0
+#: Without a position for so long a goal under way is set aside; a shorter gap turns nobody back [s].
+POSITION_GAP_S = 10.0
 #: The autopilot's words from this long before a takeover belong to it [s].
 WORDS_BEFORE_S = 5.0
 _MULTICOPTERS = frozenset(
@@ -204,6 +207,7 @@ class Aircraft:
         self._changed_at = -math.inf
         self._reposition: Pending | None = None
         self._parting: Pending | None = None
+        self._fault = ""
 
     # --- what the planner wants
 
@@ -317,6 +321,7 @@ class Aircraft:
     def run(self, procedure: Procedure, done: Done, name: str) -> None:
         """Begin a procedure; another one under way ends as superseded."""
         self.stop_procedure(f"superseded by {name}")
+        self._fault = ""
         self._running = _Running(procedure, name, [done])
 
     def join(self, done: Done, name: str) -> bool:
@@ -417,11 +422,42 @@ class Aircraft:
 
     def _look_at_mode(self) -> None:
         if self.authority.observe(self.mode, self.vehicle.armed, self.now):
-            self.streaming = self.goals_open = False
-            if words := self.vehicle.words_since(self.now - WORDS_BEFORE_S):
-                self.authority.reason += f" (autopilot: {words})"
-            self.commands.cancel("somebody else took over")
-            self.stop_procedure(self.authority.reason)
+            self._yield()
+
+    def _yield(self) -> None:
+        self.streaming = self.goals_open = False
+        if words := self.vehicle.words_since(self.now - WORDS_BEFORE_S):
+            self.authority.reason += f" (autopilot: {words})"
+        self.commands.cancel("somebody else took over")
+        self.stop_procedure(self.authority.reason)
+
+    def overhear(self, message: Any, now: float) -> None:
+        """Take what a ground station sent to it: whoever steers it has it, even where no mode will show that."""
+        self.now = now
+        if self.authority.ours and self.autopilot is not None and steers(message, self.autopilot, self.mode):
+            station = message.get_srcSystem()
+            self.authority.lose(f"the ground station with sysid {station} steers it ({message.get_type()})")
+            self._yield()
+
+    def fail(self, error: Exception, now: float) -> bool:
+        """Give it up after an error that nobody foresaw: it is in no clear state, and the others must be served.
+
+        It is left as when the bridge stops. What went wrong stays among its problems until the next order.
+
+        Returns
+        -------
+        bool
+            False if that is known already.
+        """
+        fault = f"error in the bridge, {type(error).__name__}: {error}; it is left to its autopilot"
+        if fault == self._fault:
+            return False
+        self._fault = fault
+        self.stop_procedure(fault)
+        self.part(now)
+        self.streaming = self.goals_open = False
+        self.authority.lose(fault)
+        return True
 
     def _rebooted(self) -> None:
         self.commands.cancel("the autopilot rebooted")
@@ -466,7 +502,7 @@ class Aircraft:
         if self.autopilot is not None and self.vehicle.link is LinkState.CONNECTED and not self.duplicates:
             position = self.vehicle.position
             position_at = -math.inf if position is None else position.received_at
-            self._streams.tick(now, self.vehicle.home is not None, position_at)
+            self._streams.tick(now, self.vehicle.home is not None, position_at, self.vehicle.landed_at)
         self._fly()
 
     def _step(self, running: _Running) -> None:
@@ -480,6 +516,7 @@ class Aircraft:
             running.end(False, str(failure))
 
     def _fly(self) -> None:
+        under_way = False
         obstacle = self._obstacle()
         if obstacle is None and self.way_closed:
             obstacle = GoalState.NONE, f"waiting for a free way: {self.way_closed}"
@@ -491,7 +528,7 @@ class Aircraft:
             obstacle = obstacle or (GoalState.REJECTED, "its way leads out of the fence: it holds")
         if obstacle is not None:
             self.life.set_aside(*obstacle)
-            self._goal_begun = False
+            under_way, self._goal_begun = self._goal_begun, False
         elif self._reposition is not None and self._reposition.outcome is not None:
             self._take_reposition_answer(self._reposition)
         if not self.streaming or not self._can_send():
@@ -501,7 +538,7 @@ class Aircraft:
         if setpoint is not None:
             target = self._target_at(setpoint)
         else:
-            target = self._goal_target if obstacle is None else self._hold() or self._sent_target
+            target = self._goal_target if obstacle is None else self._hold(under_way) or self._sent_target
         if target is None:
             return
         if obstacle is None:
@@ -513,7 +550,11 @@ class Aircraft:
                 self.life.sent((target.lat_e7, target.lon_e7), self.now)
             self._goal_begun = True
             self.life.tick(self.now, self.vehicle.words_since(self.life.sent_at))
-        self._put_on_wire(target)
+        try:
+            self._put_on_wire(target)
+        except TargetError as error:
+            self.life.set_aside(GoalState.REJECTED, str(error))
+            self._sent_target = None
 
     def _follow(self, setpoint: Setpoint) -> None:
         """Whoever is where traffic control wants it obeys, though it may not come nearer to its goal meanwhile."""
@@ -588,8 +629,9 @@ class Aircraft:
             return GoalState.NONE, "waiting: not in the air yet"
         if vehicle.critical:
             return GoalState.REJECTED, f"the autopilot reports MAV_STATE {vehicle.system_status}: it holds"
-        # A gap in telemetry must not turn back an aircraft that is on its way.
-        if not self._goal_begun and not self._position_known:
+        # A gap in telemetry must not turn back an aircraft that is on its way, unless it lasts.
+        silent = vehicle.position is None or self.now - vehicle.position.received_at > POSITION_GAP_S
+        if silent or (not self._goal_begun and not self._position_known):
             return GoalState.NONE, "waiting: its position is not known"
         silence_s = self._deadman.silence_s(self.now)
         if silence_s is not None:
@@ -637,7 +679,7 @@ class Aircraft:
     def problems(self) -> list[str]:
         """What an operator should look into, each with what to do about it."""
         vehicle = self.vehicle
-        found = [problem for problem in (self.identity_problem, self.link_problem) if problem]
+        found = [problem for problem in (self._fault, self.identity_problem, self.link_problem) if problem]
         if vehicle.link is not LinkState.CONNECTED:
             return found
         if self.commands.unanswered_in_row >= UNANSWERED_SUSPICIOUS:
@@ -669,9 +711,11 @@ class Aircraft:
         self._hold_target = None
         self._send_at = -math.inf
 
-    def _hold(self) -> Target | None:
+    def _hold(self, under_way: bool = False) -> Target | None:
+        """Where it is, or, `under_way` until now, was last heard; None: unknown."""
         position = self.vehicle.position
-        if self._hold_target is None and position is not None and self._position_known:
+        known = self._position_known or (under_way and self.enu_m is not None)
+        if self._hold_target is None and position is not None and known:
             self._hold_target = Target(position.latitude, position.longitude, position.relative_m, position.amsl_m)
             self._send_at = -math.inf
         return self._hold_target
@@ -679,11 +723,14 @@ class Aircraft:
     def _put_on_wire(self, target: Target) -> None:
         if self.autopilot is None:
             return
+        # Where it holds, both heights are the vehicle's own, and the one above mean sea level needs no home.
+        amsl = target is self._hold_target and self.vehicle.home is None
+        datum = AltitudeDatum.AMSL if amsl else self.datum
         changed = target != self._sent_target
         if self.settings.transport is Transport.REPOSITION:
             if changed and not self.commands.busy(mavlink.MAV_CMD_DO_REPOSITION):
+                command = self.autopilot.reposition(target, self.vehicle, datum)
                 self._sent_target, self._changed_at = target, self.now
-                command = self.autopilot.reposition(target, self.vehicle, self.datum)
                 self._reposition = self.commands.start(command, self.now)
             return
         sent = self._sent_target
@@ -691,6 +738,7 @@ class Aircraft:
         moved_before = sent is not None and sent.velocity_ned_m_s is not None
         if self.now < self._send_at and (not changed or (moves and moved_before)):
             return
+        message = self.autopilot.position_target(target, self.vehicle, datum, round(self.now * 1e3))
         if changed and sent is not None and target is self._goal_target and self.setpoint is None:
             self.life.resent(self.now)
         rate_hz = max(self.settings.setpoint_rate_hz, self.autopilot.min_stream_hz, MOVING_TARGET_HZ if moves else 0.0)
@@ -700,8 +748,7 @@ class Aircraft:
         self._sent_target = target
         if changed:
             self._changed_at = self.now
-        time_boot_ms = round(self.now * 1e3)
-        self._send(self.autopilot.position_target(target, self.vehicle, self.datum, time_boot_ms))
+        self._send(message)
         self.targets.add(0, self.now)
 
     def _take_reposition_answer(self, pending: Pending) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
@@ -31,12 +33,14 @@ from jpap_ros.mavlink.link_report import LinkReport
 from jpap_ros.mavlink.links import COMPONENT_ID, Link, LinkHub, Packet, Peer
 from jpap_ros.mavlink.muster import Muster
 from jpap_ros.mavlink.resumption import resume
-from jpap_ros.mavlink.routing import Forwarder
+from jpap_ros.mavlink.routing import Forwarder, target_of
 from jpap_ros.mavlink.sightings import Sightings
 from jpap_ros.mavlink.snapshot import AircraftSnapshot, condition_of, position_of, snapshot_of
 from jpap_ros.mavlink.strangers import Strangers
 from jpap_ros.mavlink.twins import Twins
 from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState
+
+_LOG = logging.getLogger(__name__)
 
 HEARTBEAT_S = 1.0
 #: Least rate at which every aircraft is looked after [Hz].
@@ -478,9 +482,12 @@ class FleetController:
             self._hub.forward(link, words.pack(packer), urgent=True)
 
     def _receive(self, packet: Packet) -> None:
+        passed_on = self._forwarder.forwarded
         if not self._forwarder.on_packet(packet):
             return
         message = packet.message
+        if packet.link in self._stations and self._forwarder.forwarded > passed_on:
+            self._overhear(message, packet.received_at)
         member = self._by_sysid.get(message.get_srcSystem())
         if member is None or packet.link in self._stations:
             return
@@ -507,12 +514,20 @@ class FleetController:
             # Another vehicle with the same system id, or not known to be the same yet.
             return
         reboots = member.aircraft.vehicle.reboots
-        member.aircraft.hear(message, source, now)
+        with self._shielded(member, now):
+            member.aircraft.hear(message, source, now)
         if member.aircraft.vehicle.reboots != reboots:
             member.sightings.forget()
             member.sightings.heard(member.links.index(packet.link), route, now)
         if message.get_type() in ("COMMAND_ACK", "HEARTBEAT", "GLOBAL_POSITION_INT"):
             self._tell(member)
+
+    def _overhear(self, message: Any, now: float) -> None:
+        """Look at what a ground station sent to vehicles."""
+        system, component = target_of(message)
+        for member in self._members.values() if system == 0 else filter(None, [self._by_sysid.get(system)]):
+            if component in (0, AUTOPILOT_COMPONENT):
+                member.aircraft.overhear(message, now)
 
     def _reroute(self, member: _Member, now: float) -> None:
         member.aircraft.duplicates = self._contest(member, now)
@@ -539,8 +554,18 @@ class FleetController:
         if self._traffic is not None:
             # Where it should be in the middle of the time for which the target holds.
             member.aircraft.setpoint = self._traffic.setpoint(member.aircraft.config.name, now + self._tick_s / 2)
-        member.aircraft.tick(now)
+        with self._shielded(member, now):
+            member.aircraft.tick(now)
         self._tell(member)
+
+    @contextmanager
+    def _shielded(self, member: _Member, now: float) -> Iterator[None]:
+        """Let an error with one aircraft end the service to that one, and not to the others."""
+        try:
+            yield
+        except Exception as error:
+            if member.aircraft.fail(error, now):
+                _LOG.exception("%s: error in the bridge", member.aircraft.config.name)
 
     def _tell(self, member: _Member) -> None:
         # Looked at often, and copied only where there is something to tell.
@@ -561,14 +586,18 @@ class FleetController:
     def _part(self) -> None:
         """Tell those aircraft that need it that the stream ends, and wait for their answers for a moment."""
         for member in self._members.values():
-            member.aircraft.stop_procedure("the bridge stops")
-            member.aircraft.part(time.monotonic())
+            now = time.monotonic()
+            with self._shielded(member, now):
+                member.aircraft.stop_procedure("the bridge stops")
+                member.aircraft.part(now)
         deadline = time.monotonic() + PARTING_S
         while time.monotonic() < deadline and any(m.aircraft.parting for m in self._members.values()):
             for packet in self._hub.poll(0.1):
                 self._receive(packet)
             for member in self._members.values():
-                member.aircraft.tick(time.monotonic())
+                now = time.monotonic()
+                with self._shielded(member, now):
+                    member.aircraft.tick(now)
 
 
 def _tower(traffic: TrafficControl, settings: AircraftSettings) -> Tower:

@@ -40,7 +40,7 @@ _DATA_STREAMS_HZ = {
     mavlink.MAV_DATA_STREAM_EXTRA3: 1,
 }
 #: Without a position for this long, and this many of its periods, everything is asked for again: a reboot forgets
-#: what was asked before [s].
+#: what was asked before. The same for the landed state alone [s].
 SILENCE_S = 3.0
 SILENCE_PERIODS = 5.0
 #: A change of a rate by a smaller share is not worth the question.
@@ -102,7 +102,7 @@ class StreamRequests:
             if message_id not in self._wanted:
                 self._wanted.append(message_id)
 
-    def tick(self, now: float, home_known: bool, position_at: float) -> None:
+    def tick(self, now: float, home_known: bool, position_at: float, landed_at: float = -math.inf) -> None:
         """Ask the next question, if it is time.
 
         Parameters
@@ -110,12 +110,15 @@ class StreamRequests:
         home_known : bool
         position_at : float
             When a position was last heard, same clock; minus infinity: never.
+        landed_at : float
+            The same of a landed state, which not every vehicle sends.
         """
         self._take_answer(now)
-        position_hz = self._rates_hz.get(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 0.0)
-        patience_s = max(SILENCE_S, SILENCE_PERIODS / position_hz) if position_hz > 0.0 else SILENCE_S
-        if not self._wanted and now - max(position_at, self._done_at) > patience_s:
+        if not self._wanted and self._silent(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, position_at, now):
             self.restart()
+        landed = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+        if not self._wanted and landed_at > -math.inf and self._silent(landed, landed_at, now):
+            self._wanted.append(landed)
         if self._wanted and self._asked is None and now >= self._not_before:
             message_id = self._wanted[0]
             rate_hz = self._rates_hz[message_id]
@@ -128,6 +131,12 @@ class StreamRequests:
             self._home_not_before = now + RETRY_S
             home_id = float(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
             self._commands.start(Command(mavlink.MAV_CMD_REQUEST_MESSAGE, (home_id,), "home position", True), now)
+
+    def _silent(self, message_id: int, heard_at: float, now: float) -> bool:
+        """Whether a message has not come for too long, nor was anything asked for."""
+        rate_hz = self._rates_hz.get(message_id, 0.0)
+        patience_s = max(SILENCE_S, SILENCE_PERIODS / rate_hz) if rate_hz > 0.0 else SILENCE_S
+        return now - max(heard_at, self._done_at) > patience_s
 
     def _take_answer(self, now: float) -> None:
         if self._asked is None or (outcome := self._asked[2].outcome) is None:

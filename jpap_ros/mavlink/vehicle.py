@@ -22,6 +22,8 @@ FAST_CLOCK = 1.5
 REORDER_MS = 5_000
 #: After this long without GLOBAL_POSITION_INT the position is not known any more [s].
 POSITION_TIMEOUT_S = 5.0
+#: After this long without EXTENDED_SYS_STATE, though heard otherwise, it does not count any more [s].
+LANDED_TIMEOUT_S = 10.0
 #: No multicopter is higher above or deeper below mean sea level [mm].
 MAX_ALTITUDE_MM = 20_000_000
 _WORDS_KEPT = 20
@@ -181,6 +183,8 @@ class Vehicle:
         """Notice silence."""
         if self.link is LinkState.CONNECTED and now - self.heartbeat_at > self.link_timeout_s:
             self.link = LinkState.LOST
+        if self.link is LinkState.CONNECTED and now - self.landed_at > LANDED_TIMEOUT_S:
+            self.landed_state = mavlink.MAV_LANDED_STATE_UNDEFINED
 
     def position_fresh(self, now: float) -> bool:
         """True while the position is recent enough to act on."""
@@ -188,14 +192,14 @@ class Vehicle:
 
     @property
     def in_air(self) -> bool:
-        """In the air by EXTENDED_SYS_STATE; where that is not sent, armed and off the ground by 1 m."""
+        """In the air by EXTENDED_SYS_STATE; where that does not come, armed and off the ground by 1 m."""
         if self.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED:
             return self.armed and self.position is not None and self.position.relative_m > 1.0
         return bool(self.landed_state == mavlink.MAV_LANDED_STATE_IN_AIR)
 
     @property
     def on_ground(self) -> bool:
-        """On the ground by EXTENDED_SYS_STATE; where that is not sent, not armed."""
+        """On the ground by EXTENDED_SYS_STATE; where that does not come, not armed."""
         if self.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED:
             return not self.armed
         return bool(self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND)
