@@ -171,3 +171,21 @@ def test_position_follows_a_shift_of_the_map() -> None:
     there = best_position(points + shift, rates, QDPA, LINK)
     assert here is not None and there is not None
     assert there - shift == pytest.approx(here, abs=1e-3)
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("altitude_m", [1e-6, 1e-4, 1e-3])
+@pytest.mark.parametrize("rule", [QDPA, EPA], ids=lambda rule: rule.name)
+def test_a_uav_close_to_the_ground_hovers_over_a_device(altitude_m: float, rule: Allocation) -> None:
+    """Next to the square of a coordinate, that of such a height is lost; the search must end all the same.
+
+    Oracle: the rate of a device at a distance s is about log2(c / (s^2 + H^2)). The devices are many metres apart, so
+    straight above one of them the sum rate is larger by log2(s^2 / H^2) > 10 bit/s/Hz than between them.
+    """
+    link = LinkBudget(altitude_m=altitude_m)
+    for seed in range(4):
+        draw = np.random.default_rng(seed)
+        points, rates = draw.uniform(0, 600, (40, 2)), draw.uniform(1, 5, 40)
+        found = best_position(points, rates, rule, link)
+        assert found is not None
+        assert np.hypot(*(points - found).T).min() < altitude_m

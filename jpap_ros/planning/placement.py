@@ -320,12 +320,14 @@ class _Cell:
                 slope = c / (q * (q + c))
             top += rate + slope * low
             weight += slope
-            wx += slope * u
-            wy += slope * v
-            ww += slope * (u * u + v * v)
+            # Relative to the box: where H is small, the squares of large coordinates would leave nothing of `top`.
+            wx -= slope * dw
+            wy -= slope * ds
+            ww += slope * (dw * dw + ds * ds)
         # The sum of the chords is top - weight |p - centre|^2.
         x, y = wx / weight, wy / weight
         top -= ww - weight * (x * x + y * y)
+        x, y = west + x, south + y
         for _ in range(MAX_MULTIPLIERS):
             px = west if x < west else east if x > east else x
             py = south if y < south else north if y > north else y
