@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from jpap_ros.planning import LinkBudget, solve
+from jpap_ros.planning import SCHEMES, LinkBudget, solve
+from jpap_ros.planning.solver import MIN_RATE
 
 GOOD = [[0.0, 0.0], [50.0, 0.0]]
 
@@ -26,6 +27,7 @@ GOOD = [[0.0, 0.0], [50.0, 0.0]]
         ({"positions": GOOD, "rates": [15, math.inf]}, r"rates\[1\] must be finite and > 0, got inf"),
         ({"positions": GOOD, "rates": [0, 15]}, r"rates\[0\] must be finite and > 0, got 0.0"),
         ({"positions": GOOD, "rates": [15, -2]}, r"rates\[1\] must be finite and > 0, got -2.0"),
+        ({"positions": GOOD, "rates": [15, 1e-300]}, r"rates\[1\] must be >= 1e-06, got 1e-300"),
         ({"positions": GOOD, "rates": ["a", 1]}, "rates must be an array of numbers"),
         ({"positions": GOOD, "rates": [15, 15], "weights": [1, 0]}, r"weights\[1\] must be finite and > 0, got 0.0"),
         ({"positions": GOOD, "rates": [15, 15], "scheme": "best"}, "scheme must be one of .*jpap.*, got 'best'"),
@@ -70,3 +72,14 @@ def test_the_largest_possible_demand_is_served_from_straight_above() -> None:
     found = solve([[3.0, 4.0]], [link.max_rate], link=link)
     assert found.uav_positions == pytest.approx(np.array([[3.0, 4.0]]))
     assert found.violations([[3.0, 4.0]], [link.max_rate], link) == []
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("power_dbm", [-100.0, 40.0, 300.0])
+def test_the_least_demand_is_served_however_strong_the_link(scheme: str, power_dbm: float) -> None:
+    positions = np.random.default_rng(0).uniform(0, 1500, (8, 2))
+    link = LinkBudget(transmit_power_dbm=power_dbm)
+    found = solve(positions, np.full(8, MIN_RATE), scheme, link)
+    assert np.isfinite(found.uav_positions).all()
+    assert found.violations(positions, np.full(8, MIN_RATE), link) == []

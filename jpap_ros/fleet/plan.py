@@ -20,6 +20,7 @@ from jpap_ros.planning.devices import Device
 from jpap_ros.planning.replanning import compare, replan
 from jpap_ros.planning.replanning_decision import ReplanningPolicy, consider
 from jpap_ros.planning.replanning_state import Demands, Limits, LivePlan
+from jpap_ros.planning.solver import MIN_RATE
 
 #: Schemes that may take seconds; a quick plan goes ahead of theirs.
 SLOW_SCHEMES = frozenset({"optimal"})
@@ -28,7 +29,7 @@ _QUICK_SCHEME = "jpap"
 
 #: Demands are planned for within these limits [bit/s/Hz]: below is nothing to share out, above is far beyond any link,
 #: and 2^r is still a number.
-_DEMAND_RANGE = (1e-6, 500.0)
+_DEMAND_RANGE = (MIN_RATE, 500.0)
 
 #: Weights count within these limits [-]: sums of far greater ones overflow.
 _WEIGHT_RANGE = (1e-9, 1e9)

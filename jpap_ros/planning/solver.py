@@ -16,6 +16,8 @@ from jpap_ros.planning.link_budget import Floats, LinkBudget, snr_demand
 
 #: Farthest from the origin that a device can be [m], east and north each; squares of far greater ones overflow.
 MAX_COORDINATE_M = 1e9
+#: Least rate that a device can demand [bit/s/Hz]. Beside 1, a far smaller signal-to-noise ratio loses its digits.
+MIN_RATE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +29,7 @@ class Problem:
     positions : (K, 2) float
         Device positions [m].
     rates : (K,) float
-        Demanded rates [bit/s/Hz]; each can be met from straight above with all the power.
+        Demanded rates [bit/s/Hz], >= `MIN_RATE`; each can be met from straight above with all the power.
     weights : (K,) float
         Priorities, > 0.
     link : LinkBudget
@@ -89,6 +91,7 @@ def validate(
     _require("positions", where, np.abs(where) <= MAX_COORDINATE_M, f"within {MAX_COORDINATE_M:g} m of the origin")
     count = len(where)
     demand = _vector("rates", rates, count)
+    _require("rates", demand, demand >= MIN_RATE, f">= {MIN_RATE:g}")
     priority = np.ones(count) if weights is None else _vector("weights", weights, count)
     if not _is_number(min_separation_m) or not 0 <= min_separation_m < math.inf:
         raise ValueError(f"min_separation_m must be finite and >= 0, got {min_separation_m!r}")
@@ -126,7 +129,7 @@ def solve(
     positions : (K, 2) array_like
         Device positions [m], ENU.
     rates : (K,) array_like
-        Demanded spectral efficiency of each device [bit/s/Hz]; > 0.
+        Demanded spectral efficiency of each device [bit/s/Hz]; >= 1e-6 (`MIN_RATE`).
     scheme : str
         A key of SCHEMES.
     link : LinkBudget
