@@ -24,6 +24,7 @@ from jpap_ros.study.monte_carlo import run_study
 from jpap_ros.study.rows import Row, RowWriter, Trial, read_rows
 from jpap_ros.study.scenario import Scenario
 from jpap_ros.study.summary import markdown_table, mean, mean_difference, mean_of
+from jpap_ros.study.tables import report
 
 SCENARIO = Scenario(seed=7)
 TRIALS = [
@@ -111,6 +112,31 @@ def test_results_of_two_scenarios_are_not_mixed(tmp_path: Path) -> None:
     run_study(path, SCENARIO, TRIALS[:1], workers=1)
     with pytest.raises(ValueError, match="seed 7 -> 8"):
         run_study(path, Scenario(seed=8), TRIALS[:1], workers=1)
+
+
+def test_a_scenario_without_results_is_replaced(tmp_path: Path) -> None:
+    """A run that was stopped before its first result leaves a scenario that nothing depends on."""
+    path = tmp_path / "r.csv"
+    run_study(path, SCENARIO, [], workers=1)
+    run_study(path, Scenario(seed=8), TRIALS[:1], workers=1)
+    assert json.loads((tmp_path / "r.json").read_text())["seed"] == 8
+
+
+def test_the_report_of_another_link_budget_alone() -> None:
+    """Oracle by hand: 12 and 14 UAVs in two draws are 13 on average; nothing is said of the stated link budget."""
+    rows = [replace(row(draw=draw, uavs=uavs), gain_db=3.0) for draw, uavs in enumerate((12, 14))]
+    text = report(Scenario(), rows)
+    assert "## UAVs for 20 devices by link budget above the stated one\n\n| Scheme | +3 dB |" in text
+    assert "| JPAP (QDPA) | 13.00 ± " in text
+    assert "| JPAP (QDPA) | 30.50 ± 0.00 |" in text
+    assert "## UAVs\n" not in text
+    assert "draw by draw" not in text
+
+
+def test_the_report_has_no_empty_table() -> None:
+    # The only scheme is the one that the others are compared with.
+    assert "draw by draw" not in report(Scenario(), [row()])
+    assert "+0 dB" not in report(Scenario(), [row()])
 
 
 def test_a_broken_line_is_named(tmp_path: Path) -> None:
@@ -201,8 +227,23 @@ def test_the_command_writes_results_report_and_figures(tmp_path: Path, capsys: p
         assert [label for label in expected if label not in text] == []
 
 
-def test_a_wrong_argument_is_one_clear_line(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "jpap_ros.study", "--draws", "0", "--out", str(tmp_path)]
+@pytest.mark.parametrize(
+    ("name", "value", "problem"),
+    [
+        ("--draws", "0", "must be at least 1, got 0"),
+        ("--seed", "-1", "must be at least 0, got -1"),
+        ("--time-limit", "0", "must be finite and > 0, got 0"),
+        ("--time-limit", "nan", "must be finite and > 0, got nan"),
+        ("--gain-db", "nan", "nan leads to a link budget that cannot be: transmit_power_dbm must be a finite number"),
+        ("--gain-db", "1000", "1000 leads to a link budget that cannot be: transmit_power_dbm must be from -300 to"),
+    ],
+)
+def test_a_wrong_argument_is_one_clear_line_and_leaves_nothing_behind(
+    tmp_path: Path, name: str, value: str, problem: str
+) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "jpap_ros.study", f"{name}={value}", "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "argument --draws: must be at least 1, got 0" in done.stderr
+    assert f"argument {name}: {problem}" in done.stderr
+    assert not out.exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -116,13 +117,13 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--devices", nargs="+", type=whole_number, default=[20, 40, 60, 80, 100], metavar="K",
                         help="numbers of devices (default: 20 40 60 80 100)")  # fmt: skip
     parser.add_argument("--draws", type=whole_number, default=10, help="random fields a point (default: 10)")
-    parser.add_argument("--gain-db", nargs="+", type=float, default=[0.0], metavar="DB",
+    parser.add_argument("--gain-db", nargs="+", type=gain_db, default=[0.0], metavar="DB",
                         help="transmit power above the stated 40 dBm [dB] (default: 0)")  # fmt: skip
     parser.add_argument(
         "--max-devices", type=whole_number, metavar="K_MAX", help="most devices a UAV (default: no limit)"
     )
-    parser.add_argument("--seed", type=int, default=Scenario.seed, help="seed of all draws (default: %(default)s)")
-    parser.add_argument("--time-limit", type=float, default=60.0, help="of each solve [s] (default: 60)")
+    parser.add_argument("--seed", type=seed, default=Scenario.seed, help="seed of all draws (default: %(default)s)")
+    parser.add_argument("--time-limit", type=seconds, default=60.0, help="of each solve [s] (default: 60)")
     parser.add_argument("--workers", type=whole_number, default=len(os.sched_getaffinity(0)),
                         help="processes (default: the cores there are)")  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("out/study"), help="folder of results (default: out/study)")
@@ -133,6 +134,29 @@ def whole_number(text: str) -> int:
     number = int(text)
     if number < 1:
         raise argparse.ArgumentTypeError(f"must be at least 1, got {text}")
+    return number
+
+
+def seed(text: str) -> int:
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"must be at least 0, got {text}")
+    return number
+
+
+def seconds(text: str) -> float:
+    number = float(text)
+    if not 0 < number < math.inf:
+        raise argparse.ArgumentTypeError(f"must be finite and > 0, got {text}")
+    return number
+
+
+def gain_db(text: str) -> float:
+    number = float(text)
+    try:
+        Scenario().with_gain(number)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text} leads to a link budget that cannot be: {error}") from None
     return number
 
 

@@ -77,8 +77,8 @@ def run_study(
         If the file holds results of another scenario.
     """
     wanted = sorted(set(trials))
-    _record_scenario(path, scenario, time_limit_s)
     have = {row.trial: row for row in read_rows(path)}
+    _record_scenario(path, scenario, time_limit_s, has_rows=bool(have))
     missing = [trial for trial in wanted if trial not in have]
     done = len(wanted) - len(missing)
     progress(done, len(wanted))
@@ -110,11 +110,11 @@ def _run(task: Callable[[Trial], Row], trials: Sequence[Trial], workers: int) ->
         pool.shutdown(cancel_futures=True)
 
 
-def _record_scenario(path: Path, scenario: Scenario, time_limit_s: float | None) -> None:
-    """Keep the scenario beside the results; refuse to mix the results of two."""
+def _record_scenario(path: Path, scenario: Scenario, time_limit_s: float | None, *, has_rows: bool) -> None:
+    """Keep the scenario beside the results; refuse to add to the rows of another one."""
     record = path.with_suffix(".json")
     text = json.dumps(scenario.as_dict() | {"time_limit_s": time_limit_s}, indent=2) + "\n"
-    if record.exists():
+    if record.exists() and has_rows:
         before, now = json.loads(record.read_text()), json.loads(text)
         changed = [f"{name} {before.get(name)!r} -> {now[name]!r}" for name in now if before.get(name) != now[name]]
         if changed:

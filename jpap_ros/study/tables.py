@@ -15,7 +15,7 @@ REFERENCE = "jpap"
 
 
 def report(scenario: Scenario, rows: Sequence[Row]) -> str:
-    """Markdown: parameters, each metric by scheme and number of devices, and UAVs by link budget where it varies."""
+    """Markdown: parameters, each metric by scheme and number of devices, and by link budget where it is another."""
     link = scenario.link
     parts = [
         "# Comparison of the schemes\n",
@@ -26,26 +26,28 @@ def report(scenario: Scenario, rows: Sequence[Row]) -> str:
         f" Mean ± half-width of the {CONFIDENCE:.0%} confidence interval.\n",
     ]
     stated = [row for row in rows if row.gain_db == 0]
-    parts += [
-        "## UAVs\n",
-        _table(stated, uav_number, "devices", "K = {}"),
-        "## Average UAV rate [bit/s/Hz]\n",
-        _table(stated, average_rate, "devices", "K = {}"),
-    ]
-    if REFERENCE in {row.scheme for row in stated}:
+    if stated:
+        parts += [
+            "## UAVs\n",
+            _table(stated, uav_number, "devices", "K = {}"),
+            "## Average UAV rate [bit/s/Hz]\n",
+            _table(stated, average_rate, "devices", "K = {}"),
+        ]
+    if {REFERENCE} < {row.scheme for row in stated}:
         parts += [
             f"## UAVs more than {look(REFERENCE).label}, draw by draw\n",
             _differences(stated, uav_number),
             f"## Average UAV rate above {look(REFERENCE).label}, draw by draw [bit/s/Hz]\n",
             _differences(stated, average_rate),
         ]
-    if len({row.gain_db for row in rows}) > 1:
-        for count in sorted({row.devices for row in rows if row.gain_db != 0}):
-            here = [row for row in rows if row.devices == count]
-            parts += [
-                f"## UAVs for {count} devices by link budget above the stated one\n",
-                _table(here, uav_number, "gain_db", "{:+g} dB"),
-            ]
+    for count in sorted({row.devices for row in rows if row.gain_db != 0}):
+        here = [row for row in rows if row.devices == count]
+        parts += [
+            f"## UAVs for {count} devices by link budget above the stated one\n",
+            _table(here, uav_number, "gain_db", "{:+g} dB"),
+            f"## Average UAV rate for {count} devices by link budget above the stated one [bit/s/Hz]\n",
+            _table(here, average_rate, "gain_db", "{:+g} dB"),
+        ]
     parts += ["## Proofs and time\n", _proofs(rows)]
     return "\n".join(parts)
 
@@ -55,7 +57,7 @@ def _schemes(rows: Sequence[Row]) -> list[str]:
 
 
 def _table(rows: Sequence[Row], metric: Metric, over: str, heading: str) -> str:
-    """A metric by scheme and by the values of a column; empty where there are no rows."""
+    """A metric by scheme and by the values of a column."""
     values = sorted({getattr(row, over) for row in rows})
     return markdown_table(
         ["Scheme", *(heading.format(value) for value in values)],
