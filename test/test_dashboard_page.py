@@ -13,21 +13,18 @@ from typing import Any
 
 import pytest
 import yaml
+from browser import launched
 from geometry_msgs.msg import Point
 from graph import PATIENCE_S, Graph, NodeProcess
 from jpap_msgs.msg import Deployment, Device, DeviceUpdate, VehicleState
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 from std_msgs.msg import String
 
 from jpap_ros.fleet.config import MapOrigin
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.nodes.qos import DEVICES, LATCHED
 
-CHROMIUM = Path("/usr/bin/chromium")
 ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
     "--disable-component-update",
@@ -130,12 +127,8 @@ def system(
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    if not CHROMIUM.exists():
-        pytest.fail(f"this test needs a browser at {CHROMIUM}: install it with 'apt-get install chromium'")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
+    with launched(*ARGUMENTS) as browser:
         yield browser
-        browser.close()
 
 
 def opened(browser: Browser, port: int) -> Page:

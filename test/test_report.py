@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from browser import launched
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, Pose, PoseStamped
@@ -31,7 +32,6 @@ from jpap_msgs.msg import (
     VehicleState,
 )
 from mcap.writer import CompressionType, Writer
-from playwright.sync_api import sync_playwright
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 
@@ -270,10 +270,7 @@ def test_the_page_holds_everything_and_works_without_a_network(path: Path, tmp_p
     for figure in ("33.8 %", "30.0 m", "0.18 km", "uav1 and uav2", "50 %"):
         assert figure in text, figure
     asked: list[str] = []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path="/usr/bin/chromium", args=["--no-sandbox", "--disable-gpu", "--disable-quic"]
-        )
+    with launched() as browser:
         view = browser.new_page()
         view.on("request", lambda request: asked.append(request.url))
         view.on("pageerror", lambda error: pytest.fail(str(error)))
@@ -286,7 +283,6 @@ def test_the_page_holds_everything_and_works_without_a_network(path: Path, tmp_p
         assert rows.count() == 1
         broken = "[...document.images].filter((image) => !image.naturalWidth).length"
         assert view.evaluate(broken) == 0
-        browser.close()
     assert {url.partition(":")[0] for url in asked} <= {"file", "data"}
 
 
