@@ -10,8 +10,10 @@ import math
 
 import numpy as np
 import pytest
+from scipy.cluster.vq import kmeans2
 
 from jpap_ros.planning import Deployment, LinkBudget, solve
+from jpap_ros.planning.kmeans import _k_means_plus_plus
 
 LINK = LinkBudget(transmit_power_dbm=0, noise_power_dbm=-70, reference_gain_db=-30, altitude_m=50)
 SCHEMES = ("kmeans_qdpa", "kmeans_epa")
@@ -79,13 +81,33 @@ def test_the_seed_alone_decides(scheme: str) -> None:
     assert len(others) > 1
 
 
-def test_an_expired_time_limit_still_gives_a_deployment() -> None:
-    """With no time at all, every place has a UAV of its own."""
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_an_expired_time_limit_still_gives_a_deployment(scheme: str) -> None:
+    """Oracle: P1's constraints, and the smallest number of clusters, which the full search finds in a moment here."""
     rng = np.random.default_rng(6)
-    positions, rates = rng.uniform(0, 1500, (30, 2)), rng.uniform(15, 20, 30)
-    deployment = solve(positions, rates, "kmeans_qdpa", time_limit_s=1e-9)
-    assert len(deployment.uav_positions) == 30
-    assert not deployment.unserved
+    positions, rates = rng.uniform(0, 1500, (60, 2)), rng.uniform(15, 20, 60)
+    hasty, full = solve(positions, rates, scheme, time_limit_s=1e-9), solve(positions, rates, scheme)
+    assert hasty.violations(positions, rates, LinkBudget()) == []
+    assert not hasty.unserved
+    assert len(hasty.uav_positions) <= 1.1 * len(full.uav_positions)
+
+
+@pytest.mark.timeout(60)
+def test_a_thousand_devices_within_the_planners_time_limit() -> None:
+    rng = np.random.default_rng(7)
+    side = 1500 * math.sqrt(10)
+    positions, rates = rng.uniform(0, side, (1000, 2)), rng.uniform(15, 20, 1000)
+    deployment = solve(positions, rates, "kmeans_qdpa", time_limit_s=2)
+    assert deployment.violations(positions, rates, LinkBudget()) == []
+    # At this density the paper's field of 100 devices takes about 60 UAVs (docs/reproduction.md).
+    assert len(deployment.uav_positions) < 700
+
+
+def test_the_draws_are_those_of_scipy() -> None:
+    # Oracle: SciPy's k-means++; with a centroid in every place, its Lloyd iteration moves none.
+    points = np.random.default_rng(8).uniform(0, 1500, (50, 2))
+    theirs = kmeans2(points, 50, iter=1, minit="++", rng=np.random.default_rng(9))[0]
+    assert np.array_equal(_k_means_plus_plus(points, 50, np.random.default_rng(9)), theirs)
 
 
 def test_points_too_close_for_double_precision_end() -> None:

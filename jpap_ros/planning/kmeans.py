@@ -68,7 +68,9 @@ def kmeans(problem: Problem, allocation: Allocation) -> tuple[list[Members], Flo
     No clustering divides devices at one and the same place. Where they are too many for one UAV, they are packed into
     cells by first fit, largest demand first, and all these cells but the last are set aside; the rest is clustered.
     Every place by itself is then a cluster that satisfies, so the search ends at the latest with one cluster a place.
-    It also ends so where the time limit strikes.
+
+    Where the time limit strikes before, the clusters tried last are kept as far as they satisfy, and the others are cut
+    in two across their longer axis, again and again, until all do. N is then not the smallest.
 
     The clusters depend on the order of the devices, as the random draws do; translation and rotation of the devices
     change nothing but rounding.
@@ -86,19 +88,44 @@ def _cluster(problem: Problem, allocation: Allocation, demand: Floats, rest: Mem
     points = problem.positions[rest]
     places, place_of = np.unique(points, axis=0, return_inverse=True)
     rng = np.random.default_rng(problem.seed)
-    initial = [_k_means_plus_plus(points, len(places), rng) for _ in range(INITIALISATIONS)]
+    initial: list[Floats] = []
+    tried = [rest]
     for count in range(_lower_bound(problem, demand[rest]), len(places)):
-        if time.monotonic() > problem.deadline:
-            break
-        clusterings = (_split(rest, _lloyd(points, centroids[:count])) for centroids in initial)
-        good = [
-            clusters
-            for clusters in clusterings
-            if all(_satisfied(problem, allocation, demand, cluster) for cluster in clusters)
-        ]
+        good = []
+        for start in range(INITIALISATIONS):
+            if time.monotonic() > problem.deadline:
+                return _cut_unsatisfied(problem, allocation, demand, tried)
+            if start == len(initial):
+                initial.append(_k_means_plus_plus(points, len(places), rng))
+            tried = _split(rest, _lloyd(points, initial[start][:count]))
+            if all(_satisfied(problem, allocation, demand, cluster) for cluster in tried):
+                good.append(tried)
         if good:
             return min(good, key=lambda clusters: _sum_of_squares(problem.positions, clusters))
     return _split(rest, place_of.reshape(-1))
+
+
+def _cut_unsatisfied(
+    problem: Problem, allocation: Allocation, demand: Floats, clusters: list[Members]
+) -> list[Members]:
+    """Cut each cluster that does not satisfy its devices in two, until all do."""
+    left, done = list(clusters), []
+    while left:
+        cluster = left.pop()
+        if _satisfied(problem, allocation, demand, cluster):
+            done.append(cluster)
+        else:
+            left += _cut(problem.positions, cluster)
+    return done
+
+
+def _cut(positions: Floats, cluster: Members) -> list[Members]:
+    """The two halves of a cluster of several places, cut across the middle of its longer axis."""
+    offsets = positions[cluster] - _centroid(positions[cluster])
+    offsets /= np.abs(offsets).max()
+    axis = np.linalg.eigh(offsets.T @ offsets)[1][:, -1]
+    along = offsets @ axis
+    return _split(cluster, (along > (along.min() + along.max()) / 2).astype(np.int64))
 
 
 def _lower_bound(problem: Problem, demand: Floats) -> int:
@@ -108,12 +135,21 @@ def _lower_bound(problem: Problem, demand: Floats) -> int:
 
 
 def _k_means_plus_plus(points: Floats, places: int, rng: np.random.Generator) -> Floats:
-    """Every place once, in the order in which k-means++ drew them, (places, 2)."""
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        # Places whose squared distance underflows cannot be told apart; those drawn twice leave clusters empty.
-        warnings.simplefilter("ignore")
-        # With a centroid in every place, the one Lloyd iteration that SciPy insists on moves none.
-        centroids: Floats = kmeans2(points, places, iter=1, minit="++", rng=rng)[0]
+    """Every place once, in the order in which k-means++ drew them, (places, 2).
+
+    The draws are those of SciPy's `kmeans2`, which works out all the distances anew for each of them: in 13 s for 1000
+    devices.
+    """
+    drawn = np.empty(places, np.int64)
+    drawn[0] = rng.integers(len(points))
+    nearest2 = np.full(len(points), np.inf)
+    # Places whose squared distance underflows cannot be told apart; those drawn twice leave clusters empty.
+    with np.errstate(invalid="ignore"):
+        for i in range(1, places):
+            nearest2 = np.minimum(nearest2, ((points - points[drawn[i - 1]]) ** 2).sum(axis=1))
+            below = (nearest2 / nearest2.sum()).cumsum()
+            drawn[i] = min(int(np.searchsorted(below, rng.uniform())), len(points) - 1)
+    centroids: Floats = points[drawn]
     return centroids
 
 
