@@ -1,4 +1,4 @@
-"""Time of `jpap` over the number of devices, and against the listing taken literally and with a generic solver.
+"""Time of `jpap` over the number of devices, and against the listing: literal, polished, and with a generic solver.
 
 All in one run, in CPU time of one thread, so that the ratios hold whatever else the machine does. Devices have the
 density of the paper's K = 100 (1500 m x 1500 m); time is the median of several instances, planning only. Cells are
@@ -13,6 +13,7 @@ import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,7 +22,13 @@ from scipy.optimize import minimize
 from jpap_ros.planning import LinkBudget, solve
 from jpap_ros.planning.allocation import QDPA
 from jpap_ros.planning.geometry import nearest_common_point
-from jpap_ros.planning.reference import drmp_position, nearest_of_the_best, reference_jpap, sum_rate
+from jpap_ros.planning.reference import (
+    drmp_position,
+    literal_position,
+    nearest_of_the_best,
+    reference_jpap,
+    sum_rate,
+)
 from jpap_ros.planning.solver import Problem, validate
 from jpap_ros.study.style import BLUE, GREY, VERMILLION, figure_style, save
 
@@ -58,6 +65,11 @@ def slsqp_position(
         if position is not None:
             found.append(np.array(position))
     return nearest_of_the_best(found, points, strengths, height2, start)
+
+
+def thousand_steps(*cell: Any) -> np.ndarray:
+    """DRMP as it stands, with a fixed number of steps of the subgradient method: the paper gives none."""
+    return literal_position(*cell, iterations=1000, tolerance_m=0.0)
 
 
 def timed(run: Callable[[], object]) -> float:
@@ -123,7 +135,9 @@ def main() -> None:
     references = {
         name: compare(name, placer, wanted, arguments.instances)
         for name, placer, wanted in (
-            ("listing taken literally (subgradient, 1 m grid)", drmp_position, 100),
+            ("listing taken literally (subgradient until converged, 1 m grid)", literal_position, 100),
+            ("listing taken literally, 1000 subgradient steps each", thousand_steps, 100),
+            ("the same and a polish of each position", drmp_position, 100),
             ("listing with SLSQP at each step", slsqp_position, 5),
         )
     }
@@ -145,7 +159,7 @@ def _plot(path: Path, sizes: list[int], times: list[float], references: dict[str
             counts, times[-1] * k_log_k / k_log_k[-1], "--", color=GREY, label="$K \\log K$ through the last point"
         )
         axes.plot(list(WANTED_S), list(WANTED_S.values()), "v", color=VERMILLION, label="wanted at most")
-        for marker, (name, seconds) in zip("sD", references.items(), strict=True):
+        for marker, (name, seconds) in zip("sPXD", references.items(), strict=True):
             axes.plot(PAPER_DEVICES, seconds, marker, color=GREY, linestyle="none", label=name)
         axes.set(xlabel="Number of devices $K$, at constant density", ylabel="CPU time of a plan [s]")
         # Room for the legend below the curve.

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from jpap_ros.planning import LinkBudget, solve
 from jpap_ros.planning.allocation import QDPA
 from jpap_ros.planning.jpap import jpap_with
+from jpap_ros.planning.reference import reference_jpap
 from jpap_ros.planning.solver import Problem, validate
 
 LINK = LinkBudget()
@@ -102,6 +103,29 @@ def test_it_stops_at_the_first_infeasible_device_unless_told_to_go_on() -> None:
     line = problem([[0, 0], [130, 0], [150, 0]], [19.0, 20.0, 15.0])
     assert cells(jpap_with("jpap", line, QDPA)) == [[0], [1, 2]]
     assert cells(jpap_with("jpap", line, QDPA, skip_infeasible=True)) == [[0, 2], [1]]
+
+
+def test_the_next_device_is_the_nearest_to_where_the_uav_is_by_then() -> None:
+    """Listing, step 5, worked by hand. Devices 0 to 3 at (0, 0), (-60, 0), (-1, 65), (-90, 0) m, all with r = 19.
+
+    w = 524287; (5): d^0 = sqrt(1e10 / w - 2500) = 128.7 m, so each is in the 2 d^0 = 257.5 m of all others; the first
+    of the paper's order, the one with the largest a, is 0. From v* = (0, 0), the nearest is 1 (60 m; 2: 65.0, 3: 90 m).
+    (11): d_sv = sqrt(1e10 / 2 w - 2500) = 83.9 m >= 30 m. 60 m < 2 H, so the best is the middle, v* = (-30, 0).
+    From there 3 is at 60 m and 2 at sqrt(29^2 + 65^2) = 71.2 m: 3 is next, though 2 is nearer to k_0.
+    With 3, d_sv = 62.1 m >= 45 m. On the line, sum (x - a_k) / ((x - a_k)^2 + 2500) = 0 at x = -57.98:
+    -0.009891 + 0.000808 + 0.009083. With 2 as well, d_sv = 47.6 m, less than half of the 110.2 m from 2 to 3: stop.
+    Had 2 been taken before 3, the cells would be {0, 1, 2} and {3}: from (-30, 30) all three are within 46 m < 62.1 m.
+    """
+    positions, rates = [[0, 0], [-60, 0], [-1, 65], [-90, 0]], [19.0] * 4
+    found = solve(positions, rates)
+    assert cells(found) == [[0, 1, 3], [2]]
+    assert found.uav_positions == pytest.approx(np.array([[-57.977, 0], [-1, 65]]), abs=0.05)
+    assert found.coverage_radius_m == pytest.approx([62.1115, 128.7382], abs=1e-4)
+    assert found.power_w == pytest.approx([10 / 3, 10 / 3, 10, 10 / 3])
+    # (1), (3): q = 57.977^2, 2.023^2 and 32.023^2, each + 2500, and c = 1e10 / 3; from straight above 21.9316.
+    assert found.rate == pytest.approx([19.11732, 20.34425, 21.93157, 19.85071], abs=1e-3)
+    order = [covered for covered, _ in reference_jpap(problem(positions, rates), QDPA)]
+    assert order == [[0, 1, 3], [2]]
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

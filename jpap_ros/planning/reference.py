@@ -1,12 +1,13 @@
 """The paper's own algorithms, taken literally: slow, readable, and what the fast ones are checked against.
 
-`lagrange_position` is the Lagrange method of equations (13) to (22), `exhaustive_position` the exhaustive search,
-`drmp_position` the DRMP algorithm made of both, and `reference_jpap` the listing of section IV-C line by line.
+`lagrange_position` is the Lagrange method of equations (13) to (22), `outer_rates` the exhaustive search,
+`literal_position` the DRMP algorithm made of both and nothing else, and `reference_jpap` the listing of section IV-C
+line by line. `drmp_position` is more than the text: it polishes what the grid found, to compare positions with.
 
 Two decisions where the text needs one. The paper's outer region asks that *every* device be at least H away, so that
 positions with some devices within H and others beyond belong to neither region, and the best position is often one of
-them. Here the outer region is all of the feasible region that the inner one leaves over. And of positions whose rates
-differ by less than the tolerance of `placement`, the UAV takes the one nearest to where it is.
+them. Here the outer region is all of the feasible region that the inner one leaves over. And of positions that are
+equally good, as far as the method can tell, the UAV takes the one nearest to where it is.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from jpap_ros.planning.allocation import Allocation
 from jpap_ros.planning.geometry import common_point, nearest_common_point
@@ -50,6 +52,7 @@ def lagrange_position(
     start: Floats,
     step: float = 0.05,
     iterations: int = 1000,
+    tolerance_m: float = 0.0,
 ) -> Floats:
     """The Lagrange method: problem P4 with the multipliers found by the subgradient method (20).
 
@@ -60,7 +63,10 @@ def lagrange_position(
     step : float
         epsilon_lambda of equation (20), relative to tau / (ln 2 q d^2) of its device, which makes it a pure number.
     iterations : int
-        Steps of the subgradient method. The bound (13) is made tight again at each.
+        Most steps of the subgradient method. The bound (13) is made tight again at each.
+    tolerance_m : float
+        A step that moves the position by no more than this [m] is the last; by default all are taken, as the method
+        need not converge where the problem is not convex.
 
     Returns
     -------
@@ -74,7 +80,9 @@ def lagrange_position(
         tau, _ = tight_bound(strengths / q)
         # Equations (21) and (22): sum_k (tau_k / (ln 2 q_k) + lambda_k) (v - u_k) = 0, solved by fixed point.
         pull = tau / (math.log(2) * q) + multipliers
-        position = pull @ points / pull.sum()
+        before, position = position, pull @ points / pull.sum()
+        if math.dist(before, position) < tolerance_m:
+            break
         excess = ((points - position) ** 2).sum(axis=1) - squared_radii
         scale = pull.max() / np.maximum(squared_radii, height2)
         multipliers = np.maximum(multipliers + step * scale * excess, 0)
@@ -86,21 +94,17 @@ def lagrange_position(
     return deepest if nearest is None else np.array(nearest)
 
 
-def exhaustive_position(
-    points: Floats,
-    strengths: Floats,
-    squared_radii: Floats,
-    height2: float,
-    start: Floats,
-    grid_step_m: float = 1.0,
-) -> list[Floats]:
+def outer_rates(
+    points: Floats, strengths: Floats, squared_radii: Floats, height2: float, grid_step_m: float = 1.0
+) -> tuple[Floats, Floats, Floats]:
     """The exhaustive search of the outer region on a square grid.
 
     Returns
     -------
-    list of (2,) float
-        The best grid point, and of those worse by no more than `GRID_TOLERANCE` the one nearest to the present
-        position. Empty where no grid point is in the region.
+    xs, ys : (m,), (n,) float
+        Coordinates of the grid [m].
+    rate : (m, n) float
+        Sum rate at each grid point [bit/s/Hz]; -inf where it is not in the region.
     """
     radii = np.sqrt(squared_radii)[:, None]
     low, high = (points - radii).max(axis=0), (points + radii).min(axis=0)
@@ -113,11 +117,47 @@ def exhaustive_position(
         feasible &= distance2 <= r2
         inner &= distance2 < height2
     rate[~feasible | inner] = -np.inf
-    if not np.isfinite(rate.max()):
-        return []
-    i, j = np.nonzero(rate >= rate.max() - GRID_TOLERANCE)
-    good = np.column_stack([xs[i], ys[j]])
-    return [good[rate[i, j].argmax()], good[((good - start) ** 2).sum(axis=1).argmin()]]
+    return xs, ys, rate
+
+
+def literal_position(
+    points: Floats,
+    strengths: Floats,
+    squared_radii: Floats,
+    height2: float,
+    start: Floats,
+    iterations: int = 100_000,
+    tolerance_m: float = 1e-6,
+) -> Floats:
+    """The DRMP algorithm of section IV-B as it stands; see `Placer`.
+
+    The subgradient method runs until it converges, which the paper gives no tolerance for: until a step moves the UAV
+    by less than `tolerance_m`. Two devices more than 2 H apart have two best positions, and which of them is better by
+    a hair a grid cannot tell; so, of the peaks of the grid that are worse by no more than `GRID_TOLERANCE`, the outer
+    region gives the one nearest to the present position. Where no grid point lies in a region that is not empty, its
+    deepest point stands for it.
+    """
+    if squared_radii.max() < height2:
+        return lagrange_position(
+            points, strengths, squared_radii, height2, start, iterations=iterations, tolerance_m=tolerance_m
+        )
+    candidates = []
+    inner, mean = np.minimum(squared_radii, height2), points.mean(axis=0)
+    if common_point(points, inner) is not None:
+        candidates.append(
+            lagrange_position(points, strengths, inner, height2, mean, iterations=iterations, tolerance_m=tolerance_m)
+        )
+    xs, ys, rate = outer_rates(points, strengths, squared_radii, height2)
+    if np.isfinite(rate.max()):
+        i, j = np.nonzero((rate == maximum_filter(rate, 3)) & (rate >= rate.max() - GRID_TOLERANCE))
+        peaks = np.column_stack([xs[i], ys[j]])
+        candidates.append(peaks[((peaks - start) ** 2).sum(axis=1).argmin()])
+    if not candidates:
+        deepest = common_point(points, squared_radii)
+        if deepest is None:
+            raise ValueError("the discs must share a point")
+        return deepest
+    return max(candidates, key=lambda candidate: sum_rate(candidate, points, strengths, height2))
 
 
 def drmp_position(
@@ -128,14 +168,23 @@ def drmp_position(
     start: Floats,
     grid_step_m: float = 1.0,
 ) -> Floats:
-    """The DRMP algorithm of section IV-B; see `Placer`. `grid_step_m` is that of the exhaustive search [m]."""
+    """The DRMP algorithm of section IV-B with a polish, far better than its grid; see `Placer`.
+
+    Beyond the text, the Lagrange method runs over the whole feasible region too, from the present position, from the
+    best grid point and from the nearest one within `GRID_TOLERANCE` of it, and of all these positions that differ by
+    less than the tolerance of `placement` the nearest is taken. `grid_step_m` is that of the exhaustive search [m].
+    """
     candidates = [lagrange_position(points, strengths, squared_radii, height2, start)]
     if squared_radii.max() >= height2:
         inner = np.minimum(squared_radii, height2)
         if common_point(points, inner) is not None:
             candidates.append(lagrange_position(points, strengths, inner, height2, points.mean(axis=0)))
-        for point in exhaustive_position(points, strengths, squared_radii, height2, start, grid_step_m):
-            candidates += [point, lagrange_position(points, strengths, squared_radii, height2, point)]
+        xs, ys, rate = outer_rates(points, strengths, squared_radii, height2, grid_step_m)
+        if np.isfinite(rate.max()):
+            i, j = np.nonzero(rate >= rate.max() - GRID_TOLERANCE)
+            good = np.column_stack([xs[i], ys[j]])
+            for point in good[rate[i, j].argmax()], good[((good - start) ** 2).sum(axis=1).argmin()]:
+                candidates += [point, lagrange_position(points, strengths, squared_radii, height2, point)]
     return nearest_of_the_best(candidates, points, strengths, height2, start)
 
 
