@@ -135,9 +135,9 @@ def main() -> None:
     references = {
         name: compare(name, placer, wanted, arguments.instances)
         for name, placer, wanted in (
-            ("listing taken literally (subgradient until converged, 1 m grid)", literal_position, 100),
-            ("listing taken literally, 1000 subgradient steps each", thousand_steps, 100),
-            ("the same and a polish of each position", drmp_position, 100),
+            ("literal listing (subgradient to convergence, 1 m grid)", literal_position, 100),
+            ("literal listing, 1000 subgradient steps each", thousand_steps, 100),
+            ("literal listing and a polish of each position", drmp_position, 100),
             ("listing with SLSQP at each step", slsqp_position, 5),
         )
     }
@@ -163,7 +163,7 @@ def _plot(path: Path, sizes: list[int], times: list[float], references: dict[str
             axes.plot(PAPER_DEVICES, seconds, marker, color=GREY, linestyle="none", label=name)
         axes.set(xlabel="Number of devices $K$, at constant density", ylabel="CPU time of a plan [s]")
         # Room for the legend below the curve.
-        axes.set_ylim(bottom=min(times) / 60)
+        axes.set_ylim(bottom=min(times) / 3000)
         axes.legend(loc="lower right")
         for file in save(figure, path):
             print(f"plot: {file}")
