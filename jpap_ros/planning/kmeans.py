@@ -70,7 +70,8 @@ def kmeans(problem: Problem, allocation: Allocation) -> tuple[list[Members], Flo
     Every place by itself is then a cluster that satisfies, so the search ends at the latest with one cluster a place.
 
     Where the time limit strikes before, the clusters tried last are kept as far as they satisfy, and the others are cut
-    in two across their longer axis, again and again, until all do. N is then not the smallest.
+    in two across their longer axis, again and again, until all do. N may then be larger than that, or even smaller, as
+    cutting suits the devices at hand where Lloyd's algorithm does not.
 
     The clusters depend on the order of the devices, as the random draws do; translation and rotation of the devices
     change nothing but rounding.
