@@ -390,11 +390,22 @@ def test_bad_options(
     assert not (tmp_path / "plan.kml").exists()
 
 
+@pytest.mark.parametrize("option", [["--origin", "-37.81,144.96"], ["--origin=-37.81,144.96"]])
+def test_an_origin_south_of_the_equator(tmp_path: Path, option: list[str]) -> None:
+    # Oracle: the origin itself is where the device at (0, 0) is.
+    devices, out = tmp_path / "devices.csv", tmp_path / "plan.csv"
+    devices.write_text("id,x,y,rate_demand\na,0,0,16\n")
+    assert main([str(devices), "--scheme", "jpap", *option, "--output", str(out)]) == 0
+    (row,) = csv.DictReader(out.read_text().splitlines())
+    assert (float(row["latitude"]), float(row["longitude"])) == (pytest.approx(-37.81), pytest.approx(144.96))
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
         ["--origin", "north pole"],
         ["--origin", "90,0"],
+        ["--origin", "-90,0"],
         ["--max-uavs", "0"],
         ["--max-devices-per-uav", "1.5"],
         ["--min-separation", "-1"],

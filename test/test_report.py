@@ -6,6 +6,8 @@ a comment from the made-up flight.
 
 from __future__ import annotations
 
+import base64
+import html
 import json
 import math
 import re
@@ -48,7 +50,7 @@ FLEET = {
     "origin": {"latitude": -37.8136, "longitude": 144.9631},
     "uavs": [{"name": f"uav{i}", "sysid": i, "url": f"udpin:127.0.0.1:{14550 + i}"} for i in (1, 2)],
 }
-NASTY = "<script>alert(1)</script>"
+NASTY = "<script>alert(1)</script>$_$"
 
 
 class Tape:
@@ -284,6 +286,21 @@ def test_the_page_holds_everything_and_works_without_a_network(path: Path, tmp_p
         broken = "[...document.images].filter((image) => !image.naturalWidth).length"
         assert view.evaluate(broken) == 0
     assert {url.partition(":")[0] for url in asked} <= {"file", "data"}
+
+
+def test_an_id_is_no_formula(tmp_path: Path) -> None:
+    # Oracle: Matplotlib's documentation of mathtext: text between two dollar signs is a formula, and these are wrong.
+    names = ["$_$", r"$\frac$", "a$b", NASTY]
+    file, page = tmp_path / "flight.mcap", tmp_path / "report.html"
+    with tape(file) as t:
+        devices = [Device(id=name, position=Point(x=100.0 * i), rate_demand=1.0) for i, name in enumerate(names)]
+        t.say(0.0, "/devices", DeviceUpdate(devices=devices))
+        t.say(1.0, "/deployment", deployment(1, 0.1, "4 devices joined", 1))
+        t.say(20.0, "/uav1/state", state("uav1"))
+    assert main([str(file), "-o", str(page)]) == 0
+    pictures = [base64.b64decode(data).decode() for data in re.findall(r"svg\+xml;base64,([\w+/=]+)", page.read_text())]
+    shown = html.unescape("".join(pictures))
+    assert all(f">{name}<" in shown for name in names[:3]) and "mathdefault" not in shown
 
 
 def test_a_recording_cut_off_anywhere_is_read_as_far_as_it_goes(path: Path, tmp_path: Path) -> None:

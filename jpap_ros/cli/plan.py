@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -48,6 +49,7 @@ EPILOG = """examples:
   scripts/plan devices.csv --compare                        every scheme beside the others
   scripts/plan devices.csv --output plan.png plan.csv       a map, and a row a device
   scripts/plan devices.geojson --output plan.kml plan.plan  for Google Earth and QGroundControl
+  scripts/plan devices.csv --origin -37.81,144.96 --output plan.kml   metres, put on the map there
   scripts/plan devices.csv --fleet fleet.yaml               for the aircraft of a fleet file, by their names
   scripts/plan devices.csv --max-uavs 5 --scheme jpap       the best that five UAVs can do, by the paper's scheme
 
@@ -76,7 +78,7 @@ class _Task:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Plan as the command line says; return the exit status."""
     errors = Console(stderr=True)
-    options = _parser().parse_args(arguments)
+    options = _parser().parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
     try:
         task = _task(options, errors)
         schemes = list(SCHEMES) if options.compare else [options.scheme]
@@ -205,6 +207,17 @@ def _write(paths: Sequence[Path], write: Callable[[Path], None], errors: Console
 def _fail(errors: Console, status: int, why: str) -> int:
     errors.print(f"plan: {why}", style="red", soft_wrap=True, markup=False, highlight=False)
     return status
+
+
+def _joined(arguments: Sequence[str]) -> list[str]:
+    """Join `--origin` and a place south of the equator, which argparse would take for another option."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1] == "--origin" and re.match(r"-[\d.]", argument):
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 def _parser() -> argparse.ArgumentParser:

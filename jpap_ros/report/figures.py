@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from jpap_ros.report.flight import Flight, Floats, held
 from jpap_ros.report.latency import Answer
@@ -54,8 +54,15 @@ class TimeAxis:
 
 
 @contextmanager
+def _style() -> Iterator[None]:
+    """Settings within which the pictures are drawn; an id is shown as it is, and `$` in it begins no formula."""
+    with figure_style(), plt.rc_context({"text.parse_math": False}):
+        yield
+
+
+@contextmanager
 def _picture(height_in: float, columns: int = 1) -> Iterator[tuple[Figure, list[Axes]]]:
-    with figure_style():
+    with _style():
         figure, axes = plt.subplots(1, columns, figsize=(_WIDTH_IN, height_in), squeeze=False, layout="constrained")
         try:
             yield figure, list(axes[0])
@@ -112,7 +119,7 @@ def worst_devices(flight: Flight, grid: Floats, services: Sequence[DeviceService
     keep = _thinned(len(grid), _MOST_POINTS)
     columns = 3
     rows = math.ceil(len(worst) / columns)
-    with figure_style():
+    with _style():
         figure, panels = plt.subplots(
             rows, columns, figsize=(_WIDTH_IN, 1.9 * rows), squeeze=False, sharex=True, layout="constrained"
         )
@@ -206,6 +213,8 @@ def latencies(flight: Flight, answered: Sequence[Answer]) -> str:
         axes.set_yscale("log")
         axes.margins(y=0.25)
         axes.yaxis.set_major_formatter("{x:g}")
+        # In plain figures, too: the usual one writes formulas.
+        axes.yaxis.set_minor_formatter(LogFormatter())
         axes.set_ylabel("duration [ms]")
         axes.legend(loc="best")
         time.dress(axes)
