@@ -36,6 +36,7 @@ from jpap_msgs.msg import (
 from mcap.writer import CompressionType, Writer
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
 
 from jpap_ros.nodes.recorder_definitions import full_definition
 from jpap_ros.report.__main__ import main
@@ -98,6 +99,10 @@ def state(uav: str, landed: int = VehicleState.LANDED_IN_AIR, battery: float = 0
     )
 
 
+def update(frame: str = "map", **fields: Any) -> DeviceUpdate:
+    return DeviceUpdate(header=Header(frame_id=frame), **fields)
+
+
 def deployment(plan_id: int, planning_s: float, reason: str, bound: int, **fields: Any) -> Deployment:
     cell = Cell(uav="uav1", goal_pose=Pose(position=Point(z=50.0)), device_ids=["a", "b"], power_w=[4.0, 6.0])
     cell.rate = [34.0, 30.0]
@@ -124,7 +129,7 @@ def write_flight(path: Path, **more: Any) -> Path:
     ) as t:
         a = Device(id="a", position=Point(), rate_demand=32.0)
         b = Device(id="b", position=Point(x=100.0), rate_demand=30.0)
-        t.say(0.0, "/devices", DeviceUpdate(devices=[a, b]))
+        t.say(0.0, "/devices", update(devices=[a, b]))
         t.say(0.0, "/uav1/state", state("uav1", VehicleState.LANDED_ON_GROUND))
         t.say(0.0, "/uav2/state", state("uav2", battery=math.nan))
         for at_s in (0.0, 3.0, 3.7):
@@ -147,16 +152,16 @@ def write_flight(path: Path, **more: Any) -> Path:
             (20.0, -40.0),
         ):
             t.pose(at_s, "uav2", 30.0, north, 50.0)
-        t.say(7.8, "/devices", DeviceUpdate(devices=[Device(id="a", position=Point(), rate_demand=33.0)]))
+        t.say(7.8, "/devices", update(devices=[Device(id="a", position=Point(), rate_demand=33.0)]))
         unserved = [UnservedDevice(id=NASTY, reason="too far")]
         t.say(8.0, "/deployment", deployment(2, 0.1, "1 device changed demand", 1, unserved=unserved))
         t.say(11.0, "/diagnostics", diagnostic(DiagnosticStatus.OK, "goal reached"))
-        t.say(12.0, "/diagnostics", diagnostic(DiagnosticStatus.ERROR, "link lost"))
+        t.say(12.0, "/diagnostics", diagnostic(DiagnosticStatus.ERROR, "link lost for 0 s"))
         t.say(12.5, "/diagnostics", diagnostic(DiagnosticStatus.ERROR, "link lost for 1 s"))
         t.say(13.0, "/diagnostics", diagnostic(DiagnosticStatus.OK, "goal reached"))
         t.say(14.0, "/rosout", Log(level=30, name="bridge", msg="a warning"))
         t.say(14.1, "/rosout", Log(level=20, name="bridge", msg="nothing of importance"))
-        t.say(14.75, "/devices", DeviceUpdate(departed=["b", "never there"]))
+        t.say(14.75, "/devices", update(departed=["b", "never there"]))
         t.say(20.0, "/uav1/state", state("uav1", battery=0.5, mode="GUIDED", armed=True))
     return path
 
@@ -186,9 +191,9 @@ def test_the_course_of_the_flight(flight: Flight) -> None:
     assert flight.notes == ()
     assert list(flight.tracks) == ["uav1", "uav2"]
     assert [(round(c.at_s, 3), c.what) for c in flight.changes] == [
-        (0.0, "2 joined"),
-        (7.8, "1 changed demand"),
-        (14.75, "1 left"),
+        (0.0, "2 joined: a, b"),
+        (7.8, "1 changed demand: a"),
+        (14.75, "1 left: b"),
     ]
 
 
@@ -288,13 +293,62 @@ def test_the_page_holds_everything_and_works_without_a_network(path: Path, tmp_p
     assert {url.partition(":")[0] for url in asked} <= {"file", "data"}
 
 
+def test_devices_count_as_the_planner_counts_them(tmp_path: Path) -> None:
+    # Oracle: README, parameters map_frame and device_timeout_s of the planner.
+    path = tmp_path / "flight.mcap"
+    with tape(path, parameters={"bandwidth_hz": 1.0, "map_frame": "map", "device_timeout_s": 5.0}) as t:
+        a, b = (Device(id=name, rate_demand=1.0) for name in "ab")
+        t.say(0.0, "/devices", update(devices=[a, b]))
+        t.say(0.0, "/deployment", deployment(1, 0.1, "2 devices joined", -1))
+        t.say(1.0, "/devices", update("odom", devices=[Device(id="elsewhere", rate_demand=1.0)]))
+        # Wrong, but still there: it is the other one that falls silent.
+        t.say(4.0, "/devices", update(devices=[Device(id="a", rate_demand=math.nan)]))
+        t.say(8.0, "/devices", update(devices=[Device(id=f"d{i}", rate_demand=1.0) for i in range(8)]))
+        t.say(8.5, "/deployment", deployment(2, 0.1, "1 device fell silent, 8 joined", -1))
+        t.say(8.6, "/devices", update(devices=[a]))
+    flight = flight_of(path)
+    assert [(round(c.at_s, 3), c.what) for c in flight.changes] == [
+        (0.0, "2 joined: a, b"),
+        (5.0, "1 not reported for 5 s, taken as left: b"),
+        (8.0, "8 joined: d0, d1, d2, d3, d4 and 3 more"),
+    ]
+    assert "elsewhere" not in flight.devices and len(flight.devices["a"]) == 1
+    assert flight.device_at("b", 4.9) is not None and flight.device_at("b", 5.1) is None
+    assert "frame 'odom'" in " ".join(flight.notes)
+    # The first plan began before the first report. Nobody sent a report when `b` fell silent.
+    assert [round(answer.at_s, 3) for answer in compute(flight).answers] == [0.0, 8.0]
+
+
+def test_events_are_those_of_one_fleet_and_tell_when_a_trouble_becomes_another(tmp_path: Path) -> None:
+    two = tmp_path / "two.mcap"
+    with tape(two) as t:
+        for space in ("", "/north"):
+            t.say(0.0, f"{space}/deployment", deployment(1, 0.1, "", -1))
+            for at_s, words in (
+                (1.0, "battery low: 20 %"),
+                (2.0, "battery low: 19 %"),
+                (3.0, "goal rejected: fence"),
+            ):
+                status = DiagnosticStatus(level=DiagnosticStatus.WARN, name=f"{space}/bridge: uav1", message=words)
+                t.say(at_s, "/diagnostics", DiagnosticArray(status=[status]))
+            for logger in ("bridge", "bridge.link"):
+                t.say(4.0, "/rosout", Log(level=30, name=f"{space}/{logger}".strip("/").replace("/", "."), msg="w"))
+    for namespace, space, logger in (("/", "", ""), ("north", "/north", "north.")):
+        flight = read_flight(RecordingReader([two], is_of_flight), namespace)
+        assert [(round(at_s, 3), name, words) for at_s, name, _, words in flight.diagnostics] == [
+            (1.0, f"{space}/bridge: uav1", "battery low: 20 %"),
+            (3.0, f"{space}/bridge: uav1", "goal rejected: fence"),
+        ]
+        assert [line.name for _, line in flight.log] == [f"{logger}bridge", f"{logger}bridge.link"]
+
+
 def test_an_id_is_no_formula(tmp_path: Path) -> None:
     # Oracle: Matplotlib's documentation of mathtext: text between two dollar signs is a formula, and these are wrong.
     names = ["$_$", r"$\frac$", "a$b", NASTY]
     file, page = tmp_path / "flight.mcap", tmp_path / "report.html"
     with tape(file) as t:
         devices = [Device(id=name, position=Point(x=100.0 * i), rate_demand=1.0) for i, name in enumerate(names)]
-        t.say(0.0, "/devices", DeviceUpdate(devices=devices))
+        t.say(0.0, "/devices", update(devices=devices))
         t.say(1.0, "/deployment", deployment(1, 0.1, "4 devices joined", 1))
         t.say(20.0, "/uav1/state", state("uav1"))
     assert main([str(file), "-o", str(page)]) == 0

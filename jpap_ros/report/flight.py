@@ -39,10 +39,11 @@ class DeviceReport:
 
 @dataclass(frozen=True)
 class ReportedChange:
-    """A device report that changed something: when it was sent [s], and in words."""
+    """What changed of the devices: when [s], in words, and whether by a report or for want of one."""
 
     at_s: float
     what: str
+    reported: bool = True
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ class Flight:
     changes : tuple of ReportedChange
     tracks : mapping of str to Track
     diagnostics : tuple of (float, str, int, str)
-        Changes of a status's level: when, of which status, to which level, and its message.
+        Changes of a status's level or trouble: when, of which status, to which level, and its message.
     log : tuple of (float, object)
         Lines of warnings and errors.
     notes : tuple of str

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from jpap_ros.fleet.config import FleetConfig, FleetFileError, parse_fleet
 from jpap_ros.mavlink.geodesy import LocalFrame
+from jpap_ros.planning.devices import Device, DeviceTable, Fault
 from jpap_ros.report.flight import MAX_POSITION_GAP_S, DeviceReport, Flight, Plan, ReportedChange, Track
 from jpap_ros.report.recording import RecordingError, RecordingReader, Told
 
@@ -25,6 +26,8 @@ LOG = "rcl_interfaces/msg/Log"
 _LOG_WARN = 30
 #: A message heard so long after it was sent was latched [s].
 _LATCHED_S = 1.0
+#: Devices named in one line; the rest is counted.
+_NAMED = 5
 
 
 def is_of_flight(topic: str, type_name: str) -> bool:
@@ -61,7 +64,8 @@ def read_flight(reader: RecordingReader, namespace: str | None = None) -> Flight
         raise RecordingError(f"{where}: no deployment was recorded" + (f" in {namespace!r}" if namespace else ""))
     if len(spaces) > 1:
         raise RecordingError(f"{where}: has fleets in {', '.join(spaces)}: choose one with --namespace")
-    return _Builder(collector, reader, spaces[0]).flight()
+    others = {_namespace(item.topic) for item in collector.plans} - {spaces[0]}
+    return _Builder(collector, reader, spaces[0], others).flight()
 
 
 class _Collector:
@@ -78,7 +82,7 @@ class _Collector:
         self.diagnostics: list[tuple[float, str, int, str]] = []
         self.log: list[tuple[float, Any]] = []
         self.began_s, self.ended_s = math.inf, -math.inf
-        self._levels: dict[str, int] = {}
+        self._said: dict[str, tuple[int, str]] = {}
 
     def add(self, item: Told) -> None:
         # What was latched before the recording began does not make it longer.
@@ -107,48 +111,59 @@ class _Collector:
         self.poses.setdefault(item.topic, Track()).add_pose(at_s, (point.x, point.y, point.z))
 
     def _add_diagnostics(self, item: Told) -> None:
-        """Keep changes of level only: figures in a status's words change every second."""
+        """Keep changes of level, and of the words of a trouble; the figures among them change every second."""
         for status in item.message.status:
             # The definition calls the level a byte.
             level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-            if level != self._levels.get(status.name, 0):
+            words = re.sub(r"[-+]?\d[\d.,e+-]*", "#", status.message) if level else ""
+            if (level, words) != self._said.get(status.name, (0, "")):
                 self.diagnostics.append((item.sent_s, status.name, level, status.message))
-            self._levels[status.name] = level
+            self._said[status.name] = level, words
 
 
 class _Builder:
-    """Makes a flight of what was collected, for the fleet in one namespace."""
+    """Makes a flight of what was collected, for the fleet in one namespace, beside which there may be others."""
 
-    def __init__(self, collected: _Collector, reader: RecordingReader, namespace: str) -> None:
+    def __init__(self, collected: _Collector, reader: RecordingReader, namespace: str, others: set[str]) -> None:
         self._collected = collected
         self._parameters = reader.parameters
         self._prefix = namespace.rstrip("/") + "/"
+        self._others = others
         self._notes = list(reader.notes)
         self._fleet = _fleet(reader.fleet_text, self._notes)
         self._frame = None if self._fleet is None else LocalFrame(self._fleet.origin)
         self._began_s = collected.began_s
+        self._map_frame = self._parameter("map_frame", "map")
+        self._timeout_s = float(self._parameter("device_timeout_s", 0.0)) or math.inf
+        # The planner's own table: what it ignores or takes as left must not count here.
+        self._table = DeviceTable()
+        self._named: dict[str, float] = {}
         self._devices: dict[str, list[DeviceReport]] = {}
         self._changes: list[ReportedChange] = []
 
     def flight(self) -> Flight:
         collected, began_s = self._collected, self._began_s
+        duration_s = collected.ended_s - began_s
         for item in sorted(collected.reports, key=lambda item: item.sent_s):
             if item.topic.startswith(self._prefix):
                 self._add_report(item.sent_s - began_s, item)
+        self._expire(duration_s)
         plans = [self._plan(item) for item in collected.plans if item.topic.startswith(self._prefix)]
         return Flight(
             began_s=began_s,
-            duration_s=collected.ended_s - began_s,
+            duration_s=duration_s,
             fleet=self._fleet,
-            bandwidth_hz=self._bandwidth_hz(),
+            bandwidth_hz=float(self._parameter("bandwidth_hz", 1.0)),
             plans=tuple(sorted(plans, key=lambda plan: plan.at_s)),
             devices=self._devices,
             changes=tuple(self._changes),
             tracks=self._tracks(),
             diagnostics=tuple(
-                (at_s - began_s, name, level, message) for at_s, name, level, message in collected.diagnostics
+                (at_s - began_s, name, level, message)
+                for at_s, name, level, message in collected.diagnostics
+                if _namespace("/" + name.partition(":")[0].lstrip("/")).rstrip("/") + "/" == self._prefix
             ),
-            log=tuple((at_s - began_s, line) for at_s, line in collected.log),
+            log=tuple((at_s - began_s, line) for at_s, line in collected.log if self._is_own_logger(line.name)),
             notes=tuple(self._notes),
         )
 
@@ -172,38 +187,60 @@ class _Builder:
                 track.charge = told.charge
         return dict(sorted(tracks.items(), key=lambda item: _natural(item[0])))
 
+    def _is_own_logger(self, name: str) -> bool:
+        """Whether a logger, e.g. `team_a.bridge`, is of a node of this fleet and not of one beside it."""
+
+        def within(namespace: str) -> bool:
+            return f"{name}.".startswith(namespace.strip("/").replace("/", ".") + ".")
+
+        if self._prefix != "/":
+            return within(self._prefix)
+        return not any(within(other) for other in self._others)
+
     def _add_report(self, at_s: float, item: Told) -> None:
         update = item.message
-        reported = dict(self._reported(item))
-        gone = set(update.departed)
-        if update.snapshot:
-            gone |= self._devices.keys() - reported.keys()
-        counts = {"joined": 0, "moved": 0, "changed demand": 0, "left": 0}
-        for name, (position, demand, weight) in reported.items():
-            before = self._present(name)
-            if before is None:
-                counts["joined"] += 1
-            elif before.position != position:
-                counts["moved"] += 1
-            elif (before.demand, before.weight) != (demand, weight):
-                counts["changed demand"] += 1
-            else:
-                continue
-            self._devices.setdefault(name, []).append(DeviceReport(at_s, position, demand, weight))
-        for name in gone:
-            if (before := self._present(name)) is not None:
-                counts["left"] += 1
-                self._devices[name].append(DeviceReport(at_s, before.position, 0.0))
-        what = ", ".join(f"{count} {verb}" for verb, count in counts.items() if count)
+        if item.type_name == DEVICES and update.header.frame_id != self._map_frame:
+            self._add_note(
+                f"device reports in frame {update.header.frame_id!r} are left out, as the planner leaves them out:"
+                f" its map_frame is {self._map_frame!r}"
+            )
+            return
+        self._expire(at_s)
+        reported = list(self._reported(item))
+        self._named |= {entry.id: at_s for entry in reported}
+        changes = self._table.apply(reported, update.departed, snapshot=update.snapshot, now_s=at_s)
+        changed = {*changes.joined, *changes.moved, *changes.demanded}
+        for device in self._table.devices if changed else ():
+            if device.id in changed:
+                known = DeviceReport(at_s, device.position, device.rate_demand, device.weight)
+                self._devices.setdefault(device.id, []).append(known)
+        for name in changes.left:
+            self._leave(name, at_s)
+        told = {
+            "joined": changes.joined,
+            "moved": changes.moved,
+            "changed demand": changes.demanded,
+            "left": changes.left,
+        }
+        what = "; ".join(f"{len(ids)} {verb}: {_listed(ids)}" for verb, ids in told.items() if ids)
         if what:
             self._changes.append(ReportedChange(at_s, what))
 
-    def _present(self, name: str) -> DeviceReport | None:
-        last = self._devices[name][-1] if name in self._devices else None
-        return None if last is None or last.demand == 0.0 else last
+    def _expire(self, now_s: float) -> None:
+        """Take devices that no report names for the planner's `device_timeout_s` as left, from then on."""
+        left: dict[float, list[str]] = {}
+        for name in self._table.expire(now_s, self._timeout_s):
+            left.setdefault(self._named[name] + self._timeout_s, []).append(name)
+        for at_s, names in sorted(left.items()):
+            for name in names:
+                self._leave(name, at_s)
+            what = f"{len(names)} not reported for {self._timeout_s:g} s, taken as left: {_listed(names)}"
+            self._changes.append(ReportedChange(at_s, what, reported=False))
 
-    def _reported(self, item: Told) -> Iterable[tuple[str, tuple[tuple[float, float], float, float]]]:
-        """Devices of a report that the planner, too, could use."""
+    def _leave(self, name: str, at_s: float) -> None:
+        self._devices[name].append(DeviceReport(at_s, self._devices[name][-1].position, 0.0))
+
+    def _reported(self, item: Told) -> Iterable[Device | Fault]:
         for device in item.message.devices:
             if item.type_name == DEVICES:
                 position = (device.position.x, device.position.y)
@@ -213,18 +250,18 @@ class _Builder:
             else:
                 try:
                     position = self._frame.to_map(device.latitude, device.longitude)
-                except ValueError:
+                except ValueError as error:
+                    yield Fault(device.id, "position", str(error))
                     continue
-            figures = (*position, device.rate_demand, device.weight)
-            if all(map(math.isfinite, figures)) and device.rate_demand > 0.0 and device.weight > 0.0:
-                yield device.id, (position, device.rate_demand, device.weight)
+            yield Device(device.id, position, device.rate_demand, device.weight)
 
-    def _bandwidth_hz(self) -> float:
+    def _parameter(self, name: str, default: Any) -> Any:
+        """Value of a parameter of the planner, or how it comes if it was not recorded."""
         for node, values in self._parameters.items():
             if _namespace(node) == (self._prefix.rstrip("/") or "/") and "bandwidth_hz" in values:
-                return float(values["bandwidth_hz"])
+                return values.get(name, default)
         self._add_note("the planner's parameters were not recorded: bandwidth_hz is taken as 1")
-        return 1.0
+        return default
 
     def _add_note(self, note: str) -> None:
         if note not in self._notes:
@@ -233,6 +270,12 @@ class _Builder:
 
 def _namespace(topic: str) -> str:
     return topic.rpartition("/")[0] or "/"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Name the first of many."""
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

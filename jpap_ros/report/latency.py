@@ -35,7 +35,7 @@ def answers(flight: Flight) -> list[Answer]:
     found = []
     for change in flight.changes:
         index = bisect_left(begins, change.at_s)
-        if index < len(begins):
+        if change.reported and index < len(begins):
             plan = flight.plans[index]
             found.append(Answer(change.at_s, change.what, plan.message.plan_id, plan.at_s - change.at_s))
     return found
