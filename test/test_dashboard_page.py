@@ -160,13 +160,15 @@ def row(page: Page, name: str):
 def test_the_page_shows_plan_devices_and_every_aircraft(page: Page, system: System) -> None:
     # Oracle: by construction each place needs a UAV of its own, and the planner proves it.
     expect(page.locator("#proof")).to_have_text("2 UAVs, proven minimum")
-    expect(page.locator("#served")).to_have_text("2 of 2")
+    # Nobody has taken off.
+    expect(page.locator("#served")).to_have_text("0 served now · 2 planned")
     expect(page.locator("#chip-planner")).to_have_text("Planner ok")
     expect(page.locator("#chip-links")).to_have_text("Links 3/3")
     expect(page.locator("#aircraft tr")).to_have_count(3)
     page.get_by_role("tab", name="Devices").click()
     expect(page.locator("#devices tr")).to_have_count(2)
     expect(page.locator("#devices")).to_contain_text("16 bit/s")
+    expect(page.locator('#devices tr[data-service="planned"]')).to_have_count(2)
     page.get_by_role("tab", name="Events").click()
     expect(page.locator("#events")).to_contain_text("2 devices joined")
 
@@ -191,6 +193,7 @@ def test_an_order_is_carried_out_only_after_it_was_confirmed(page: Page, system:
     expect(row(page, wanted).locator("td").nth(6)).to_have_text("0.0 m")
     expect(row(page, wanted)).to_contain_text("reached")
     expect(page.locator("#reached")).to_have_text("1 of 2")
+    expect(page.locator("#served")).to_have_text("1 served now · 1 planned")
     page.get_by_role("tab", name="Events").click()
     expect(page.locator("#events")).to_contain_text(f"launch {wanted}: ordered from 127.0.0.1")
     expect(page.locator("#events")).to_contain_text(f"{wanted} is in the air")
@@ -230,7 +233,9 @@ def test_a_device_added_changed_and_removed_by_hand_reaches_the_plan(page: Page,
     form.get_by_role("button", name="Add or change").click()
     expect(page.locator(".toast").last).to_contain_text("Device by hand reported")
     system.graph.wait(lambda: "by hand" in system.served(), "the device to be served")
-    expect(page.locator("#served")).to_have_text("3 of 3")
+    page.get_by_role("tab", name="Devices").click()
+    expect(page.locator("#devices tr")).to_have_count(3)
+    page.get_by_role("tab", name="Exercise").click()
     # Nonsense is refused in words, and the plan stays.
     form.get_by_label("Id", exact=True).fill("odd")
     form.get_by_label("Demand [bit/s]").fill("-4")
@@ -240,7 +245,8 @@ def test_a_device_added_changed_and_removed_by_hand_reaches_the_plan(page: Page,
     form.get_by_role("button", name="Remove").click()
     page.get_by_role("dialog").get_by_role("button", name="Remove").click()
     system.graph.wait(lambda: system.served() == set(SITES), "the device to have left the plan")
-    expect(page.locator("#served")).to_have_text("2 of 2")
+    page.get_by_role("tab", name="Devices").click()
+    expect(page.locator("#devices tr")).to_have_count(2)
 
 
 def test_a_wrong_token_shows_nothing_and_orders_nothing(system: System, browser: Browser) -> None:

@@ -92,6 +92,37 @@ def test_a_snapshot_says_everything_in_plain_json() -> None:
     assert snapshot["tracks"] == {"uav1": [[3.0, 4.0]]}
 
 
+def test_an_aircraft_serves_from_its_cell_only_and_while_it_is_heard() -> None:
+    # Oracle: what service means to who is on the ground: the aircraft is at the place that the plan gives it.
+    view = make_view()
+    view.set_devices([Device("a", (1.0, 5.0), 15.0)], Changes(joined=("a",)))
+    view.set_plan(PLAN)
+    reached = replace(FLYING, goal="reached", position=CELL.position)
+    for vehicle, serves in (
+        (Vehicle("never seen"), False),
+        (replace(FLYING, position=CELL.position), False),
+        (reached, True),
+        (replace(reached, link="lost"), False),
+        (replace(reached, position=None), False),
+        # Its goal of the plan before, still.
+        (replace(reached, position=(300.0, 20.0, 50.0)), False),
+    ):
+        view.set_vehicle("uav1", vehicle)
+        assert view.snapshot()["uavs"]["uav1"]["serving"] is serves, vehicle
+    view.set_vehicle("uav2", reached)
+    assert not view.snapshot()["uavs"]["uav2"]["serving"], "another's cell"
+
+
+def test_a_cell_without_an_aircraft_serves_nobody() -> None:
+    view = make_view()
+    view.set_devices([Device("a", (1.0, 5.0), 15.0)], Changes(joined=("a",)))
+    view.set_plan(replace(PLAN, cells=(replace(CELL, uav=""),)))
+    snapshot = view.snapshot()
+    assert snapshot["devices"]["a"]["reason"] == "no aircraft for its cell"
+    assert snapshot["plan"]["unserved"] == {"a": "no aircraft for its cell"}
+    assert any("0 of 1 device to be served" in text for text in texts(view))
+
+
 def test_changes_hold_only_what_changed() -> None:
     view = make_view()
     view.set_vehicle("uav1", FLYING)
@@ -228,7 +259,7 @@ class TestEventLog:
         view = make_view()
         view.set_plan(replace(PLAN, reason="3 devices joined, 1 left", planning_s=0.0123))
         assert texts(view) == [
-            "Plan 1 because 3 devices joined, 1 left: 1 UAV, proven minimum; 1 of 1 device served; "
+            "Plan 1 because 3 devices joined, 1 left: 1 UAV, proven minimum; 1 of 1 device to be served; "
             "planned in 12 ms (optimal)"
         ]
 

@@ -22,6 +22,8 @@ STALE_AFTER_S = 5.0
 TRACK_POINTS, TRACK_STEP_M = 200, 3.0
 #: Diagnostic statuses kept; more are ignored, so that nobody fills memory with names.
 MAX_STATUSES = 2000
+#: An aircraft as near to its cell's place serves it: the rates differ from the plan's by a few per cent at most [m].
+AT_CELL_M = 15.0
 #: Silence shorter than this is not shown, so that it is not sent again and again [s].
 _FRESH_S = 2.0
 
@@ -49,6 +51,8 @@ class FleetView:
         self._clock = clock
         self._poses: dict[str, Pose] = {}
         self._goals: dict[str, Point] = {}
+        self._cells: dict[str, Point] = {}
+        self._left_out: dict[str, str] = {}
         self._heard: dict[str, float] = {}
         self._tracks: dict[str, deque[tuple[float, float]]] = {name: deque(maxlen=TRACK_POINTS) for name in self.names}
         self._statuses: dict[tuple[str, str], Status] = {}
@@ -119,6 +123,8 @@ class FleetView:
             if cell.uav in self._told_uavs and all(map(math.isfinite, cell.position)):
                 self._goals[cell.uav] = cell.position
         self.plan, self._plan_changed = plan, True
+        self._cells = {cell.uav: cell.position for cell in plan.cells}
+        self._left_out = plan.left_out
         self._changed_uavs |= set(self.names)
         self._changed_devices |= set(self.devices)
 
@@ -244,13 +250,19 @@ class FleetView:
         vehicle, pose = self.vehicles.get(name), self._poses.get(name)
         if vehicle is None:
             return {}
-        entry: Json = {"age": _finite(self._age(f"pose {name}"))}
         position = pose.position if pose is not None else vehicle.position
+        entry: Json = {"age": _finite(self._age(f"pose {name}")), "serving": self._is_serving(name, vehicle, position)}
         if position is not None:
             entry["x"], entry["y"], entry["z"] = (_tenth(value) for value in position)
         if pose is not None and math.isfinite(pose.heading_deg):
             entry["heading"] = round(pose.heading_deg) % 360
         return entry
+
+    def _is_serving(self, name: str, vehicle: Vehicle, position: Point | None) -> bool:
+        """Whether an aircraft is where the plan has it serve; the goal that it reached may be one of before."""
+        cell = self._cells.get(name)
+        there = cell is not None and position is not None and math.dist(position, cell) <= AT_CELL_M
+        return there and vehicle.link == "connected" and vehicle.goal == "reached"
 
     def _link_figures(self, name: str) -> Json:
         """Age of the newest heartbeat [s] and share of the aircraft's messages lost, as the bridge tells."""
@@ -280,7 +292,7 @@ class FleetView:
             "weight": device.weight,
             "cell": cell,
             "rate": None if rate is None else _figures(rate),
-            "reason": "" if self.plan is None else self.plan.unserved.get(name, ""),
+            "reason": self._left_out.get(name, ""),
         }
 
     def _plan(self) -> Json | None:
@@ -293,8 +305,7 @@ class FleetView:
             "scheme": plan.scheme,
             "proof": plan.proof(),
             "proven": plan.proven,
-            "served": plan.served,
-            "unserved": dict(plan.unserved),
+            "unserved": self._left_out,
             "average_rate": _finite(plan.average_rate),
             "average_rate_bound": _finite(plan.average_rate_bound),
             "interrupted": list(plan.interrupted),

@@ -147,9 +147,15 @@ class Plan:
     planning_s: float = 0.0
 
     @property
-    def served(self) -> int:
-        """Number of devices served."""
-        return sum(len(cell.rates) for cell in self.cells)
+    def planned(self) -> int:
+        """Number of devices that an aircraft is to serve; whether it does yet, its state tells."""
+        return sum(len(cell.rates) for cell in self.cells if cell.uav)
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Why each device that no aircraft is to serve is left out, by id."""
+        no_aircraft = {device: "no aircraft for its cell" for cell in self.cells if not cell.uav for device in cell.rates}
+        return {**self.unserved, **no_aircraft}
 
     def proof(self) -> str:
         """Say in words how many UAVs it takes, and what is proven about that."""

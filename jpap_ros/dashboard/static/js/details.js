@@ -2,7 +2,7 @@
 
 import { count, metres, percent, rate } from "./format.js";
 
-const SERVICE = { served: "served", interrupted: "interrupted on the way", unserved: "not served", waiting: "waiting for a plan" };
+const SERVICE = { served: "served", planned: "planned, its aircraft is not there yet", interrupted: "interrupted on the way", unserved: "not served", waiting: "waiting for a plan" };
 
 export class Details {
   constructor(store, onClose) {
@@ -18,7 +18,7 @@ export class Details {
   }
 
   update(changed) {
-    if (this.shown && (changed.all || changed.plan || changed.uavs.includes(this.shown[1]) || changed.devices.includes(this.shown[1]))) this.draw();
+    if (this.shown && (changed.all || changed.plan || changed.goals || changed.uavs.includes(this.shown[1]) || changed.devices.includes(this.shown[1]))) this.draw();
   }
 
   draw() {
@@ -62,7 +62,7 @@ export class Details {
     return [
       ["Service", SERVICE[this.store.service(device, id)]],
       ["Demand", rate(device.demand)],
-      ["Served", device.rate === null ? "" : rate(device.rate)],
+      ["Planned rate", device.rate === null ? "" : rate(device.rate)],
       ["By", cell ? cell.uav || "no aircraft yet" : ""],
       ["Weight", device.weight === 1 ? "" : String(device.weight)],
       ["Reason", device.reason],

@@ -188,8 +188,7 @@ export class Scene {
       }
       if (!this.layers.links) return;
       // Solid where the aircraft is there to serve, faint where it is yet to come.
-      const uav = this.store.uavs.get(cell.uav);
-      const serving = uav?.goal === "reached";
+      const serving = this.store.isServing(cell.uav);
       context.beginPath();
       for (const [dx, dy] of members[i]) {
         context.moveTo(x, y);

@@ -66,14 +66,16 @@ export class StatusPanel {
   }
 
   #drawPlan() {
-    const { plan, devices, uavs } = this.store;
+    const { plan, devices } = this.store;
     const total = devices.size;
-    const unplanned = [...devices.entries()].filter(([id, device]) => this.store.service(device, id) === "waiting").length;
-    byId("served").textContent = plan ? `${plan.served} of ${Math.max(total, plan.served)}` : total ? `0 of ${total}` : "–";
+    const number = { served: 0, planned: 0, interrupted: 0, unserved: 0, waiting: 0 };
+    for (const [id, device] of devices) number[this.store.service(device, id)] += 1;
+    const coming = number.planned + number.interrupted;
+    byId("served").textContent = total ? `${number.served} served now${coming ? ` · ${coming} planned` : ""}` : "–";
     byId("average-rate").textContent = plan ? rate(plan.average_rate) : "–";
     byId("average-rate").title = plan?.average_rate_bound ? `no plan with so many UAVs has more than ${rate(plan.average_rate_bound)}` : "";
     const crewed = plan?.cells.filter((cell) => cell.uav) ?? [];
-    const there = crewed.filter((cell) => uavs.get(cell.uav)?.goal === "reached").length;
+    const there = crewed.filter((cell) => this.store.isServing(cell.uav)).length;
     byId("reached").textContent = plan ? `${there} of ${plan.cells.length}` : "–";
     if (!plan) {
       byId("proof").textContent = "No plan yet";
@@ -82,7 +84,7 @@ export class StatusPanel {
     }
     byId("proof").textContent = plan.proof;
     byId("proof").dataset.proven = plan.proven;
-    const waiting = unplanned ? ` · ${count(unplanned, "device")} not in it yet` : "";
+    const waiting = number.waiting ? ` · ${count(number.waiting, "device")} not in it yet` : "";
     byId("plan-reason").textContent = `Plan ${plan.id} (${plan.scheme}): ${plan.reason || "no reason given"}${waiting}`;
   }
 

@@ -32,7 +32,7 @@ export class Store {
       uavs: Object.keys(message.uavs ?? {}),
       devices: Object.keys(message.devices ?? {}),
       plan: message.plan !== undefined,
-      goals: Object.values(message.uavs ?? {}).some((uav) => uav.goal !== undefined),
+      goals: Object.values(message.uavs ?? {}).some((uav) => uav.goal !== undefined || uav.serving !== undefined),
       health: message.health !== undefined,
       events: 0,
     };
@@ -50,13 +50,18 @@ export class Store {
     return changed;
   }
 
-  /** How a device is served: served, interrupted, unserved or waiting. */
+  /** How a device is served: served, planned, interrupted, unserved or waiting. */
   service(device, id) {
     if (device.reason) return "unserved";
     if (device.cell === null || device.cell === undefined) return "waiting";
-    // Interrupted only until the aircraft that serves it has arrived.
-    if (!this.plan?.interrupted.includes(id)) return "served";
-    return this.uavs.get(this.cellOf(device)?.uav)?.goal === "reached" ? "served" : "interrupted";
+    if (this.isServing(this.cellOf(device)?.uav)) return "served";
+    // Until the aircraft that is to serve it has arrived.
+    return this.plan?.interrupted.includes(id) ? "interrupted" : "planned";
+  }
+
+  /** Whether an aircraft is heard of and at the place from which it serves its cell of the plan. */
+  isServing(name) {
+    return this.uavs.get(name)?.serving === true;
   }
 
   /** Cell of the plan that serves a device, or that a UAV flies; undefined if there is none. */

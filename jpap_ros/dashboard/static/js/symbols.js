@@ -2,6 +2,7 @@
 
 const COLOURS = {
   served: "#009e73",
+  planned: "#0072b2",
   unserved: "#d55e00",
   interrupted: "#e69f00",
   waiting: "#8a929c",
@@ -17,7 +18,17 @@ export function device(context, service, x, y, r) {
   context.strokeStyle = "#fff";
   context.fillStyle = COLOURS[service];
   if (service === "served") context.arc(x, y, r, 0, 2 * Math.PI);
-  else if (service === "waiting") {
+  else if (service === "planned") {
+    // Half of a disc: half of it is done.
+    context.arc(x, y, r, 0, 2 * Math.PI);
+    context.fillStyle = "#fff";
+    context.fill();
+    context.strokeStyle = COLOURS.planned;
+    context.stroke();
+    context.beginPath();
+    context.arc(x, y, r, 0, Math.PI);
+    context.fillStyle = COLOURS.planned;
+  } else if (service === "waiting") {
     context.rect(x - r + 1, y - r + 1, 2 * r - 2, 2 * r - 2);
     context.fillStyle = "#fff";
     context.strokeStyle = COLOURS.waiting;
@@ -109,7 +120,7 @@ export function goal(context, x, y) {
 
 export function drawLegend(canvas, ink) {
   const scale = window.devicePixelRatio || 1;
-  const [width, height] = [196, 218];
+  const [width, height] = [196, 242];
   canvas.width = width * scale;
   canvas.height = height * scale;
   const context = canvas.getContext("2d");
@@ -118,6 +129,7 @@ export function drawLegend(canvas, ink) {
   context.textBaseline = "middle";
   const rows = [
     ["Device served", (y) => device(context, "served", 16, y, 6)],
+    ["Planned, not there yet", (y) => device(context, "planned", 16, y, 6)],
     ["Interrupted on the way", (y) => device(context, "interrupted", 16, y, 6)],
     ["Not served", (y) => device(context, "unserved", 16, y, 6)],
     ["Waiting for a plan", (y) => device(context, "waiting", 16, y, 6)],

@@ -5,7 +5,7 @@ import { kindOf } from "./symbols.js";
 
 const SHOWN_DEVICES = 250;
 const GOALS = { none: "no goal", sent: "sent", accepted: "accepted", "en route": "en route", reached: "reached", rejected: "rejected", yielded: "stood down", lost: "lost" };
-const SERVICE = { served: "served", interrupted: "interrupted", unserved: "not served", waiting: "waiting" };
+const SERVICE = { served: "served", planned: "planned, not there yet", interrupted: "interrupted", unserved: "not served", waiting: "waiting" };
 
 const byId = (id) => document.getElementById(id);
 
@@ -95,7 +95,7 @@ export class DeviceTable {
   }
 
   update(changed) {
-    if (changed.all || changed.plan || changed.devices.length) this.due = true;
+    if (changed.all || changed.plan || changed.devices.length || changed.goals) this.due = true;
     this.draw();
   }
 
@@ -109,7 +109,7 @@ export class DeviceTable {
       const by = this.store.cellOf(device)?.uav ?? "";
       if (!wanted || id.toLowerCase().includes(wanted) || by.toLowerCase() === wanted || SERVICE[service].includes(wanted)) found.push({ id, device, service, by });
     }
-    const rank = { unserved: 0, interrupted: 1, waiting: 2, served: 3 };
+    const rank = { unserved: 0, interrupted: 1, planned: 2, waiting: 3, served: 4 };
     found.sort((a, b) => rank[a.service] - rank[b.service] || natural(a.id, b.id));
     byId("devices").replaceChildren(...found.slice(0, SHOWN_DEVICES).map((item) => this.#row(item)));
     const more = found.length - SHOWN_DEVICES;
