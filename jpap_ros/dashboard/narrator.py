@@ -51,7 +51,9 @@ def vehicle_lines(name: str, before: Vehicle | None, now: Vehicle) -> list[Line]
 def plan_lines(before: Plan | None, now: Plan) -> list[Line]:
     """Why the planner planned, what came of it, and who is left out now that was not before."""
     devices = count(now.planned + len(now.left_out), "device")
-    text = f"Plan {now.id} because {now.reason or 'of an event'}: {now.proof()}; {now.planned} of {devices} to be served"
+    text = (
+        f"Plan {now.id} because {now.reason or 'of an event'}: {now.proof()}; {now.planned} of {devices} to be served"
+    )
     lines = [(INFO, f"{text}; planned in {1e3 * now.planning_s:.0f} ms ({now.scheme})")]
     known = before.left_out if before is not None else {}
     new = [f"{device}: {why}" for device, why in now.left_out.items() if known.get(device) != why]

@@ -154,7 +154,9 @@ class Plan:
     @property
     def left_out(self) -> dict[str, str]:
         """Why each device that no aircraft is to serve is left out, by id."""
-        no_aircraft = {device: "no aircraft for its cell" for cell in self.cells if not cell.uav for device in cell.rates}
+        no_aircraft = {
+            device: "no aircraft for its cell" for cell in self.cells if not cell.uav for device in cell.rates
+        }
         return {**self.unserved, **no_aircraft}
 
     def proof(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -14,6 +15,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from jpap_ros.dashboard.access import Access
 from jpap_ros.dashboard.assets import Asset, load_assets
 from jpap_ros.dashboard.client import Client
+from jpap_ros.dashboard.doorman import Doorman, send_within
 from jpap_ros.dashboard.event_log import ERROR, INFO, WARNING
 from jpap_ros.dashboard.fleet_view import FleetView
 from jpap_ros.dashboard.inbox import Inbox
@@ -34,6 +36,8 @@ from jpap_ros.dashboard.requests import (
 )
 from jpap_ros.planning.devices import Device
 
+_LOGGER = logging.getLogger(__name__)
+
 #: Close codes of our own (4000 to 4999 are free for applications, RFC 6455 section 7.4.2).
 WRONG_TOKEN, NONSENSE = 4401, 4400
 
@@ -45,18 +49,12 @@ _WRONG_TOKEN_PAUSE_S = 1.0
 _SIGN_OF_LIFE_S = 1.0
 #: A connection that asks for nothing is closed [s].
 _IDLE_S = 15
-#: TCP connections for each page allowed: a browser opens six to load the files.
-_CONNECTIONS_EACH = 8
+#: Whoever has not taken a file within this time is cut off [s].
+_RESPONSE_PATIENCE_S = 10.0
 #: Requests of one page that may be under way at once.
 _MAX_UNDER_WAY = 8
 #: Wrong messages in a row that a page is told of before it is dropped.
 _MAX_FAULTS = 20
-
-_BUSY = b"too many connections; try again later\n"
-_REFUSAL = (
-    b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 10\r\nConnection: close\r\n"
-    b"Content-Type: text/plain; charset=utf-8\r\nContent-Length: %d\r\n\r\n%s" % (len(_BUSY), _BUSY)
-)
 
 
 @dataclass(frozen=True)
@@ -167,8 +165,10 @@ class DashboardServer:
         app.router.add_get("/{path:.*}", self._serve_asset)
         self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=_IDLE_S, shutdown_timeout=1.0)
         await self._runner.setup()
+        server, most = self._runner.server, self._settings.max_clients
+        assert server is not None
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(self._connection, self._settings.host, self._settings.port)
+        self._server = await loop.create_server(lambda: Doorman(server, most), self._settings.host, self._settings.port)
 
     async def run(self) -> None:
         """Tell the pages what changes, until cancelled."""
@@ -194,17 +194,11 @@ class DashboardServer:
 
     # HTTP
 
-    def _connection(self) -> asyncio.Protocol:
-        assert self._runner is not None and self._runner.server is not None
-        if len(self._runner.server.connections) >= _CONNECTIONS_EACH * self._settings.max_clients:
-            return _Refusal()
-        return self._runner.server()
-
     @web.middleware
     async def _guard(
         self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
     ) -> web.StreamResponse:
-        """Refuse what comes by a foreign name, and tell the browser to load nothing from elsewhere."""
+        """Refuse what comes by a foreign name; tell the browser to load nothing from elsewhere; wait for no reader."""
         if problem := self._access.host_problem(request.headers.get("Host")):
             response: web.StreamResponse = web.Response(status=421, text=f"{problem}\n")
         else:
@@ -212,8 +206,10 @@ class DashboardServer:
                 response = await handler(request)
             except web.HTTPException as error:
                 response = web.Response(status=error.status, text=f"{error.reason}\n")
+        # Not so a page that was let in: it may stay.
         if not response.prepared:
             response.headers.update(self._headers)
+            await send_within(request, response, _RESPONSE_PATIENCE_S)
         return response
 
     async def _serve_asset(self, request: web.Request) -> web.Response:
@@ -330,17 +326,25 @@ class DashboardServer:
     async def _carry_out(self, client: Client, number: int | None, request: Request) -> None:
         what = _words(request)
         self._view.log.add(INFO, "action", f"{what}: ordered from {client.address}")
-        if isinstance(request, OrderRequest):
-            outcome = await self._operations.order(ORDERS[request.action], request.uavs)
-        elif isinstance(request, ReplanRequest):
-            outcome = await self._operations.replan()
-        elif isinstance(request, PutDevice):
-            outcome = await self._operations.report(request.device, None)
-        else:
-            outcome = await self._operations.report(None, request.id)
+        try:
+            outcome = await self._outcome_of(request)
+        except Exception as error:
+            # Whatever it is, the page must hear of it; the traceback is for who mends it.
+            _LOGGER.exception("%s failed", what)
+            outcome = Outcome(False, f"it failed, and how far it was carried out is not known: {error!r}")
+        finally:
+            client.under_way -= 1
         self._view.log.add(INFO if outcome.ok else ERROR, "action", f"{what}: {outcome.message}")
-        client.under_way -= 1
         self._answer(client, number, outcome)
+
+    async def _outcome_of(self, request: Request) -> Outcome:
+        if isinstance(request, OrderRequest):
+            return await self._operations.order(ORDERS[request.action], request.uavs)
+        if isinstance(request, ReplanRequest):
+            return await self._operations.replan()
+        if isinstance(request, PutDevice):
+            return await self._operations.report(request.device, None)
+        return await self._operations.report(None, request.id)
 
     def _answer(self, client: Client, number: int | None, outcome: Outcome) -> None:
         client.send(_json({"type": "answer", "id": number, **asdict(outcome)}))
@@ -349,15 +353,6 @@ class DashboardServer:
         text = _json(delta)
         for client in list(self._clients):
             client.send(text)
-
-
-class _Refusal(asyncio.Protocol):
-    """A connection too many: it is told so and closed, whatever it says."""
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        transport.write(_REFUSAL)
-        transport.close()
 
 
 async def _close(socket: web.WebSocketResponse, code: int, why: str) -> None:

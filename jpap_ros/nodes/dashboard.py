@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import sys
 from functools import partial
 from pathlib import Path
@@ -16,6 +17,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -208,13 +210,23 @@ class DashboardNode(Node):
         loop = asyncio.get_running_loop()
         answer: asyncio.Future[Any] = loop.create_future()
 
-        def keep(response: Any) -> None:
-            if not answer.done():
-                answer.set_result(response)
+        def keep(done: Future[Any]) -> None:
+            if answer.done():
+                return
+            if done.cancelled():
+                answer.set_result(Outcome(False, f"{name} did not answer: the dashboard stops"))
+            elif error := done.exception():
+                answer.set_result(Outcome(False, f"{name} failed: {error}"))
+            else:
+                answer.set_result(done.result())
 
-        # The executor's thread completes the call.
+        def tell(done: Future[Any]) -> None:
+            # On the executor's thread, which may complete the call when the server's loop has already ended.
+            with contextlib.suppress(RuntimeError):
+                loop.call_soon_threadsafe(keep, done)
+
         pending = client.call_async(request)
-        pending.add_done_callback(lambda done: loop.call_soon_threadsafe(keep, done.result()))
+        pending.add_done_callback(tell)
         try:
             return await asyncio.wait_for(answer, patience_s)
         except asyncio.TimeoutError:
