@@ -69,8 +69,14 @@ GOOD = AircraftSnapshot(
         ({"problems": ("home is not set",)}, DiagnosticStatus.ERROR, "home is not set"),
         ({"battery": Battery(0.1, 13.0, 3)}, DiagnosticStatus.ERROR, "bridge/return_home or bridge/land"),
         ({"battery": Battery(0.2, 14.0, 2)}, DiagnosticStatus.WARN, "battery low"),
+        # An autopilot that calls every charge good. 15 and 30 %: the planner's critical_battery and low_battery.
+        ({"battery": Battery(0.03, 13.0, 1)}, DiagnosticStatus.ERROR, "battery critical"),
+        ({"battery": Battery(0.15, 13.0, 1)}, DiagnosticStatus.ERROR, "battery critical"),
+        ({"battery": Battery(0.3, 14.0, 1)}, DiagnosticStatus.WARN, "battery low"),
+        ({"battery": Battery(0.31, 14.0, 1)}, DiagnosticStatus.OK, "goal reached"),
+        ({"battery": Battery(math.nan, 14.0, 0)}, DiagnosticStatus.OK, "goal reached"),
         ({"goal_state": GoalState.YIELDED, "goal_reason": "pilot"}, DiagnosticStatus.WARN, "pilot; bridge/launch"),
-        ({"goal_state": GoalState.REJECTED, "goal_reason": "fence"}, DiagnosticStatus.WARN, "goal rejected: fence"),
+        ({"goal_state": GoalState.REJECTED, "goal_reason": "fence"}, DiagnosticStatus.WARN, "fence; mend that, then"),
         ({"goal_state": GoalState.NONE, "goal_reason": "waiting: no GPS"}, DiagnosticStatus.OK, "waiting: no GPS"),
     ],
 )
@@ -80,6 +86,18 @@ def test_verdicts(changes: dict[str, object], level: bytes, words: str) -> None:
     assert words in status.message
     assert status.name == "/bridge: uav1"
     assert status.hardware_id == "MAVLink system 1"
+
+
+def test_an_aircraft_of_which_too_much_is_lost_asks_for_attention() -> None:
+    # One that is heard well by one of its links is well heard.
+    poor = replace(LINK, source_loss=((1, 1, 0.7), (2, 1, 0.0)))
+    status = aircraft_status("/bridge", GOOD, [poor], NOW)
+    assert (status.level, status.message) == (
+        DiagnosticStatus.WARN,
+        "70 % of its messages lost: check its antenna and range",
+    )
+    assert aircraft_status("/bridge", GOOD, [poor, LINK], NOW).level == DiagnosticStatus.OK
+    assert aircraft_status("/bridge", replace(GOOD, sysid=2), [poor], NOW).level == DiagnosticStatus.OK
 
 
 def test_figures_are_those_of_the_snapshot_and_of_its_own_source_on_the_link() -> None:

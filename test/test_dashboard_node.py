@@ -314,6 +314,17 @@ def fetched(port: int) -> bytes:
         return b""
 
 
+@pytest.mark.parametrize(
+    ("remaining", "charge_state", "low"), [(0.03, 1, True), (0.31, 1, False), (0.31, 2, True), (math.nan, 0, False)]
+)
+def test_a_battery_is_low_by_its_charge_or_by_the_autopilots_word(
+    remaining: float, charge_state: int, low: bool
+) -> None:
+    # Oracle: the planner's low_battery, 30 %.
+    state = VehicleState(battery_remaining=remaining, battery_charge_state=charge_state)
+    assert vehicle_of(state).battery_low is low
+
+
 def test_numbers_of_a_newer_bridge_read_as_unknown() -> None:
     vehicle = vehicle_of(VehicleState(link=77, landed_state=77, goal_state=77))
     assert (vehicle.link, vehicle.landed, vehicle.goal) == ("never seen", "undefined", "none")

@@ -175,9 +175,17 @@ def test_the_page_shows_plan_devices_and_every_aircraft(page: Page, system: Syst
 
 def test_an_order_is_carried_out_only_after_it_was_confirmed(page: Page, system: System) -> None:
     page.get_by_role("button", name="Launch", exact=True).click()
-    expect(page.get_by_role("dialog")).to_contain_text("Launch 3 aircraft?")
+    expect(page.get_by_role("dialog")).to_contain_text("Launch ALL 3 aircraft?")
     page.keyboard.press("Escape")
     expect(page.get_by_role("dialog")).to_be_hidden()
+    # For all because none is selected, or to land: Enter alone orders nothing.
+    for key, title in (("l", "Launch ALL 3 aircraft?"), ("d", "Land ALL 3 aircraft?")):
+        page.keyboard.press(key)
+        expect(page.get_by_role("dialog")).to_contain_text(title)
+        expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+        page.keyboard.press("Enter")
+        expect(page.get_by_role("dialog")).to_be_hidden()
+    assert not system.states[UAVS[0]][-1].armed and not page.locator(".toast").count()
     # By keyboard alone, for one aircraft that has a cell.
     wanted = system.deployments[-1].cells[0].uav
     row(page, wanted).get_by_role("checkbox").focus()

@@ -102,7 +102,7 @@ class World:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
-            name = status.name.removeprefix("sim: ")
+            name = status.name.removeprefix("/sim: ")
             if name in self.truth:
                 place = float(values["east_m"]), float(values["north_m"]), float(values["up_m"])
                 self.truth[name].append(Truth(place, values["mode"], values["armed"] == "true"))

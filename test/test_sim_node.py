@@ -48,7 +48,7 @@ class Reports:
         def newest() -> Any:
             for array in reversed(self.arrays):
                 for status in array.status:
-                    if status.name == f"sim: {uav}":
+                    if status.name == f"/sim: {uav}":
                         return wanted({item.key: item.value for item in status.values}, status)
             return None
 

@@ -45,7 +45,7 @@ class Vehicle:
     battery : float or None
         Share left, 0 to 1.
     battery_low : bool
-        The autopilot calls it low or worse.
+        It is low or worse, by its share or by the autopilot's word.
     position : (float, float, float) or None
         East, north, up [m] in the map frame.
     goal : str

@@ -165,5 +165,5 @@ class Operator(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         # The simulator's own word: positions by telemetry are of different moments.
         for status in message.status:
-            if status.name == "sim: fleet":
+            if status.name == "/sim: fleet":
                 self.least_separation_m = float(status.values[0].value)

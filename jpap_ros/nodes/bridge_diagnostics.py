@@ -11,10 +11,8 @@ from jpap_ros.mavlink.link_report import LinkReport
 from jpap_ros.mavlink.snapshot import AircraftSnapshot
 from jpap_ros.mavlink.tlog import TlogFolder
 from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState
-
-# Values of MAV_BATTERY_CHARGE_STATE, https://mavlink.io/en/messages/common.html
-MAV_BATTERY_CHARGE_STATE_LOW = 2
-MAV_BATTERY_CHARGE_STATE_CRITICAL = 3
+from jpap_ros.nodes.battery import is_critical, is_low
+from jpap_ros.nodes.diagnostics import status_name
 
 #: Share of messages lost from which a link asks for attention.
 WORRYING_LOSS = 0.2
@@ -28,7 +26,7 @@ def aircraft_status(
     """Return the status of one aircraft, with a message that says what to do.
 
     STALE while it was never heard; ERROR where it is lost, not served, or its battery is critical; WARN where its goal
-    is not flown or its battery is low.
+    is not flown, its battery is low, or too much of what it sends is lost on every link that it has.
 
     Parameters
     ----------
@@ -41,7 +39,13 @@ def aircraft_status(
         Monotonic time [s].
     """
     age_s = now_s - snapshot.heartbeat_at
-    level, message = _verdict(snapshot, age_s)
+    losses = {
+        report.url: loss
+        for report in reports
+        for system, component, loss in report.source_loss
+        if (system, component) == (snapshot.sysid, AUTOPILOT_COMPONENT)
+    }
+    level, message = _verdict(snapshot, age_s, min(losses.values(), default=0.0))
     figures = {
         "link": snapshot.link.name.lower().replace("_", " "),
         "heartbeat age [s]": f"{age_s:.1f}",
@@ -57,15 +61,10 @@ def aircraft_status(
         "battery [V]": f"{snapshot.battery.voltage_v:.2f}",
         "reboots": snapshot.reboots,
     }
-    figures |= {
-        f"loss on {report.url} [%]": f"{100 * loss:.1f}"
-        for report in reports
-        for system, component, loss in report.source_loss
-        if (system, component) == (snapshot.sysid, AUTOPILOT_COMPONENT)
-    }
+    figures |= {f"loss on {url} [%]": f"{100 * loss:.1f}" for url, loss in losses.items()}
     return DiagnosticStatus(
         level=level,
-        name=f"{node}: {snapshot.name}",
+        name=status_name(node, snapshot.name),
         hardware_id=f"MAVLink system {snapshot.sysid}",
         message=message,
         values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
@@ -98,7 +97,7 @@ def link_status(node: str, report: LinkReport) -> DiagnosticStatus:
     }
     return DiagnosticStatus(
         level=level,
-        name=f"{node}: link {report.url}",
+        name=status_name(node, f"link {report.url}"),
         hardware_id=report.url,
         message=message,
         values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
@@ -109,7 +108,7 @@ def tlog_status(node: str, tlog: TlogFolder) -> DiagnosticStatus:
     """Return the status: WARN while telemetry logs cannot be written."""
     return DiagnosticStatus(
         level=DiagnosticStatus.WARN if tlog.problem else DiagnosticStatus.OK,
-        name=f"{node}: telemetry log",
+        name=status_name(node, "telemetry log"),
         hardware_id=str(tlog.folder),
         message=f"{tlog.problem}; make room, logging goes on by itself" if tlog.problem else "written",
         values=[KeyValue(key="frames left out", value=str(tlog.lost))],
@@ -128,11 +127,14 @@ def _link_verdict(report: LinkReport) -> tuple[bytes, str]:
         return DiagnosticStatus.WARN, f"{100 * report.loss:.0f} % of messages lost: check antennas and range"
     used = report.received_bytes_per_s + report.sent_bytes_per_s
     if report.max_bytes_per_s is not None and used > WORRYING_USE * report.max_bytes_per_s:
-        return DiagnosticStatus.WARN, f"{used:.0f} of {report.max_bytes_per_s:.0f} byte/s used"
+        return DiagnosticStatus.WARN, (
+            f"{used:.0f} of {report.max_bytes_per_s:.0f} byte/s used: ask for slower streams on the other side, "
+            "or raise max_bytes_per_s in the fleet file if the radio can do more"
+        )
     return DiagnosticStatus.OK, "up" if report.peers else "up, nobody heard"
 
 
-def _verdict(snapshot: AircraftSnapshot, age_s: float) -> tuple[bytes, str]:
+def _verdict(snapshot: AircraftSnapshot, age_s: float, loss: float) -> tuple[bytes, str]:
     if snapshot.link is LinkState.LOST:
         silence = f"not heard for {age_s:.0f} s: check its power and its radio; it is left to its own failsafe"
         # One whose system id is contested is not listened to either: the reason comes first.
@@ -143,12 +145,18 @@ def _verdict(snapshot: AircraftSnapshot, age_s: float) -> tuple[bytes, str]:
         return DiagnosticStatus.STALE, (
             f"never heard: check its power, and its url and sysid {snapshot.sysid} in the fleet file"
         )
-    if snapshot.battery.charge_state >= MAV_BATTERY_CHARGE_STATE_CRITICAL:
+    battery = snapshot.battery.remaining, snapshot.battery.charge_state
+    if is_critical(*battery):
         return DiagnosticStatus.ERROR, "battery critical: call bridge/return_home or bridge/land for it"
     if snapshot.goal_state is GoalState.YIELDED:
         return DiagnosticStatus.WARN, f"goal yielded: {snapshot.goal_reason}; bridge/launch gives it back"
     if snapshot.goal_state in (GoalState.REJECTED, GoalState.LOST):
-        return DiagnosticStatus.WARN, f"goal {snapshot.goal_state.name.lower()}: {snapshot.goal_reason}"
-    if snapshot.battery.charge_state == MAV_BATTERY_CHARGE_STATE_LOW:
+        return DiagnosticStatus.WARN, (
+            f"goal {snapshot.goal_state.name.lower()}: {snapshot.goal_reason}; "
+            "mend that, then call bridge/launch for it, or planner/replan for another goal"
+        )
+    if is_low(*battery):
         return DiagnosticStatus.WARN, "battery low: have another aircraft ready to relieve it"
+    if loss >= WORRYING_LOSS:
+        return DiagnosticStatus.WARN, f"{100 * loss:.0f} % of its messages lost: check its antenna and range"
     return DiagnosticStatus.OK, snapshot.goal_reason or f"goal {snapshot.goal_state.name.lower().replace('_', ' ')}"

@@ -40,6 +40,7 @@ from jpap_ros.nodes.dashboard_conversions import (
     vehicle_of,
 )
 from jpap_ros.nodes.dashboard_parameters import dashboard_parameters
+from jpap_ros.nodes.diagnostics import hardware_of, status_name
 from jpap_ros.nodes.parameters import StartError, declare, values
 from jpap_ros.nodes.planner_intake import DeviceIntake
 from jpap_ros.nodes.process import run
@@ -62,7 +63,8 @@ class DashboardNode(Node):
         params = dashboard_parameters()
         declare(self, params)
         settings = values(self, params)
-        fleet = load_fleet(settings["fleet_file"])
+        self._fleet_file: str = settings["fleet_file"]
+        fleet = load_fleet(self._fleet_file)
         self._map_frame: str = settings["map_frame"]
         self._inbox = Inbox()
         self._log = EventLog()
@@ -167,7 +169,8 @@ class DashboardNode(Node):
         full = pages >= most
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if full else DiagnosticStatus.OK,
-            name=f"{self.get_fully_qualified_name()}: page",
+            name=status_name(self.get_fully_qualified_name(), "page"),
+            hardware_id=hardware_of(self._fleet_file),
             message="no more pages are let in: close some, or raise max_clients" if full else f"{pages} pages open",
             values=[KeyValue(key="pages open", value=str(pages)), KeyValue(key="pages at most", value=str(most))],
         )

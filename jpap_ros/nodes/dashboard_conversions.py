@@ -13,11 +13,11 @@ from std_msgs.msg import Header
 
 from jpap_ros.dashboard.records import ERROR, Plan, PlannedCell, Pose, Status, Vehicle
 from jpap_ros.dashboard.server import Outcome, UavOutcome
+from jpap_ros.nodes.battery import is_low
 from jpap_ros.planning.devices import Device
 
-# Values of MAV_STATE and MAV_BATTERY_CHARGE_STATE, https://mavlink.io/en/messages/common.html
+# Value of MAV_STATE, https://mavlink.io/en/messages/common.html
 _MAV_STATE_CRITICAL = 5
-_CHARGE_STATE_LOW = 2
 
 _LINKS = {
     VehicleState.LINK_NEVER_SEEN: "never seen",
@@ -64,7 +64,7 @@ def vehicle_of(message: VehicleState) -> Vehicle:
         landed=_LANDED.get(message.landed_state, "undefined"),
         emergency=message.system_status >= _MAV_STATE_CRITICAL,
         battery=_known(message.battery_remaining),
-        battery_low=message.battery_charge_state >= _CHARGE_STATE_LOW,
+        battery_low=is_low(message.battery_remaining, message.battery_charge_state),
         position=point_of(message.position) if message.position_valid else None,
         goal=_GOALS.get(message.goal_state, "none"),
         plan_id=message.goal_plan_id,

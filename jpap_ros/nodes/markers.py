@@ -17,6 +17,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.mavlink.geodesy import LocalFrame
+from jpap_ros.nodes.diagnostics import hardware_of, status_name
 from jpap_ros.nodes.markers_conversions import MarkerBook, Scene, draw_fleet, draw_plan
 from jpap_ros.nodes.markers_geojson import deployment_geojson
 from jpap_ros.nodes.parameters import Param, declare, fleet_file, values
@@ -46,7 +47,8 @@ class MarkersNode(Node):
         params = markers_parameters()
         declare(self, params)
         settings = values(self, params)
-        fleet = load_fleet(settings["fleet_file"])
+        self._fleet_file: str = settings["fleet_file"]
+        fleet = load_fleet(self._fleet_file)
         self._frame: str = settings["map_frame"]
         self._local = LocalFrame(fleet.origin)
         # What is wrong in a report the planner tells; once is enough.
@@ -127,7 +129,7 @@ class MarkersNode(Node):
             self._geojson_out.publish(String(data=deployment_geojson(self._scene, self._local)))
             self._problem = ""
         except ValueError as error:
-            self._problem = f"no GeoJSON of this deployment: {error}"
+            self._problem = f"no GeoJSON of this deployment: {error}; give markers and planner the same fleet file"
             self.get_logger().warning(self._problem)
 
     def _on_second(self) -> None:
@@ -140,7 +142,8 @@ class MarkersNode(Node):
         }
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if self._problem else DiagnosticStatus.OK,
-            name=f"{self.get_fully_qualified_name()}: picture",
+            name=status_name(self.get_fully_qualified_name(), "picture"),
+            hardware_id=hardware_of(self._fleet_file),
             message=self._problem or f"{self._drawn} markers",
             values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
         )

@@ -36,6 +36,7 @@ from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.nodes import planner_conversions as conversions
 from jpap_ros.nodes.debounce import Debounce
+from jpap_ros.nodes.diagnostics import hardware_of, status_name
 from jpap_ros.nodes.lifecycle import ManagedNode
 from jpap_ros.nodes.parameters import StartError, declare, values
 from jpap_ros.nodes.planner_diagnostics import PlannerHealth
@@ -365,7 +366,8 @@ class PlannerNode(ManagedNode):
         health.faults = self._intake.faults
         health.fleet = len(self._fleet.names)
         health.available = sum(craft.available for craft in self._all_aircraft())
-        status = health.status(f"{self.get_fully_qualified_name()}: deployment", now)
+        name = status_name(self.get_fully_qualified_name(), "deployment")
+        status = health.status(name, now, hardware_of(self._settings["fleet_file"]))
         self._diagnostics_out.publish(DiagnosticArray(header=self._header(), status=[status]))
 
     # Planning

@@ -72,7 +72,10 @@ class PlannerHealth:
         if self.relief_problem:
             problems.append(self.relief_problem)
         if self.plan is not None and self.plan.unserved:
-            problems.append(f"{len(self.plan.unserved)} devices are not served (the deployment says why)")
+            problems.append(
+                f"{len(self.plan.unserved)} devices are not served: see why in topic deployment, then make more "
+                "aircraft ready, or lower what those devices demand"
+            )
         if self.plan is not None and self.plan.uavs_needed > self.available:
             problems.append(
                 f"{self.plan.uavs_needed} UAVs are needed, {self.available} are available: make more ready, "
@@ -84,7 +87,7 @@ class PlannerHealth:
             )
         return problems
 
-    def status(self, name: str, now_s: float) -> DiagnosticStatus:
+    def status(self, name: str, now_s: float, hardware_id: str = "none") -> DiagnosticStatus:
         """Return the status: ERROR where planning failed, WARN where something lacks, else OK."""
         problems = self.problems()
         if self.failure:
@@ -122,6 +125,7 @@ class PlannerHealth:
         return DiagnosticStatus(
             level=level,
             name=name,
+            hardware_id=hardware_id,
             message=message,
             values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
         )

@@ -57,7 +57,8 @@ class RecorderNode(Node):
         params = recorder_parameters()
         declare(self, params)
         settings = values(self, params)
-        fleet = load_fleet(settings["fleet_file"])
+        self._fleet_file: str = settings["fleet_file"]
+        fleet = load_fleet(self._fleet_file)
         self._filter = TopicFilter(settings["topics"], self.get_namespace(), fleet.names)
         self._planner_topic = self.resolve_topic_name("deployment")
         self._group = _NotExecuted()
@@ -179,7 +180,8 @@ class RecorderNode(Node):
             self.get_logger().warning(
                 f"the disk is too slow: {report.dropped} messages dropped so far", throttle_duration_sec=60.0
             )
-        status = recording_status(self.get_fully_qualified_name(), report, len(self._channels), dropping)
+        node = self.get_fully_qualified_name()
+        status = recording_status(node, self._fleet_file, report, len(self._channels), dropping)
         header = Header(stamp=self.get_clock().now().to_msg())
         self._diagnostics_out.publish(DiagnosticArray(header=header, status=[status]))
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from jpap_ros.nodes.diagnostics import hardware_of, status_name
 from jpap_ros.nodes.recorder_writer import WriterReport
 
 
-def recording_status(node: str, report: WriterReport, topics: int, dropping: bool) -> DiagnosticStatus:
+def recording_status(node: str, fleet_file: str, report: WriterReport, topics: int, dropping: bool) -> DiagnosticStatus:
     """Return the status: ERROR while nothing is recorded, WARN while a slow disk costs messages."""
     if report.problem:
         level, message = DiagnosticStatus.ERROR, f"not recording: {report.problem}; make room, it goes on by itself"
@@ -26,7 +27,8 @@ def recording_status(node: str, report: WriterReport, topics: int, dropping: boo
     }
     return DiagnosticStatus(
         level=level,
-        name=f"{node}: recording",
+        name=status_name(node, "recording"),
+        hardware_id=hardware_of(fleet_file),
         message=message,
         values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
     )

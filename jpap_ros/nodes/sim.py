@@ -12,6 +12,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from jpap_ros.fleet.config import load_fleet
+from jpap_ros.nodes.diagnostics import hardware_of, status_name
 from jpap_ros.nodes.parameters import Param, StartError, declare, fleet_file, values
 from jpap_ros.nodes.process import run
 from jpap_ros.sim import LinkFaults, SimError, SimFleet, SimVehicle, VehicleOptions
@@ -48,7 +49,8 @@ class SimNode(Node):
         params = sim_parameters()
         declare(self, params)
         settings = values(self, params)
-        config = load_fleet(Path(settings["fleet_file"]))
+        self._fleet_file: str = settings["fleet_file"]
+        config = load_fleet(Path(self._fleet_file))
         bad_link = {name: settings[name] for name in ("loss", "duplicate", "reorder", "delay_s", "jitter_s")}
         options = VehicleOptions(gps_delay_s=settings["gps_delay_s"], link_faults=LinkFaults(**bad_link))
         try:
@@ -97,7 +99,8 @@ class SimNode(Node):
         least_m = math.inf if self._fleet is None else self._fleet.least_separation_m
         return DiagnosticStatus(
             level=DiagnosticStatus.OK,
-            name=f"{self.get_fully_qualified_name().lstrip('/')}: fleet",
+            name=status_name(self.get_fully_qualified_name(), "fleet"),
+            hardware_id=hardware_of(self._fleet_file),
             message=f"aircraft were never nearer to each other than {least_m:.1f} m in the air",
             values=[KeyValue(key="least_separation_m", value=f"{least_m:.3f}")],
         )
@@ -115,7 +118,7 @@ class SimNode(Node):
         problem = vehicle.failsafe or vehicle.prearm_problem()
         return DiagnosticStatus(
             level=DiagnosticStatus.WARN if problem else DiagnosticStatus.OK,
-            name=f"{self.get_fully_qualified_name().lstrip('/')}: {vehicle.name}",
+            name=status_name(self.get_fully_qualified_name(), vehicle.name),
             message=problem or ("armed" if vehicle.armed else "ready"),
             hardware_id=vehicle.name,
             values=[KeyValue(key=key, value=value) for key, value in shown.items()],

@@ -59,12 +59,15 @@ export class Actions {
       toast(action === "give_back" ? "No aircraft was taken over." : "No aircraft is known yet.", false);
       return;
     }
+    // Nothing selected may be an oversight.
+    const everybody = !this.selected.size && uavs.length > 1;
     const sure = await confirm({
-      title: `${verb} ${uavs.length === 1 ? uavs[0] : `${uavs.length} aircraft`}?`,
+      title: `${verb} ${uavs.length === 1 ? uavs[0] : `${everybody ? "ALL " : ""}${uavs.length} aircraft`}?`,
       text,
       names: uavs.length > 1 ? uavs.join(", ") : "",
       yes: verb,
       danger: action === "land",
+      grave: action === "land" || everybody,
     });
     if (!sure) return;
     this.#report(verb, await this.connection.ask(action, { uavs }));

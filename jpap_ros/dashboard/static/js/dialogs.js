@@ -2,20 +2,20 @@
 
 const byId = (id) => document.getElementById(id);
 
-/** Ask once more; resolves with whether the operator said yes. */
-export function confirm({ title, text, names = "", yes, danger = false }) {
+/** Ask once more; resolves with whether the operator said yes. What is grave takes more than Enter by mistake. */
+export function confirm({ title, text, names = "", yes, danger = false, grave = danger }) {
   const dialog = byId("confirm");
   byId("confirm-title").textContent = title;
   byId("confirm-text").textContent = text;
   byId("confirm-names").textContent = names;
   const button = byId("confirm-yes");
   button.textContent = `${yes} `;
-  button.append(Object.assign(document.createElement("kbd"), { textContent: "Enter" }));
+  if (!grave) button.append(Object.assign(document.createElement("kbd"), { textContent: "Enter" }));
   button.classList.toggle("danger", danger);
   // Left over from the dialog before: Esc closes without a value.
   dialog.returnValue = "";
   dialog.showModal();
-  button.focus();
+  (grave ? byId("confirm-cancel") : button).focus();
   return new Promise((resolve) => {
     dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
   });
