@@ -8,15 +8,22 @@ import time
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from jpap_msgs.msg import Deployment, DeviceUpdate, GeoDeviceUpdate, VehicleState
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Header
 
+from jpap_ros.nodes.diagnostics import hardware_of, status_name
 from jpap_ros.nodes.parameters import Param, StartError, declare, values
 from jpap_ros.nodes.process import run
 from jpap_ros.nodes.qos import DEVICES, LATCHED
-from jpap_ros.nodes.replay_steps import Step, differences, is_planners, namespace_of, newest_states, steps_of
+from jpap_ros.nodes.replay_debounce import LongDebounce
+from jpap_ros.nodes.replay_steps import Step, differences, is_planners, namespace_of, state_rounds, steps_of
 from jpap_ros.report.flight_reader import DEVICES as DEVICES_TYPE
 from jpap_ros.report.flight_reader import GEO_DEVICES, STATE
 from jpap_ros.report.recording import RecordingError, Told, read_recording
@@ -26,8 +33,13 @@ _KINDS = {
     GEO_DEVICES: (GeoDeviceUpdate, DEVICES),
     STATE: (VehicleState, LATCHED),
 }
+#: Every plan, also those that come while this node is busy.
+_DEPLOYMENTS = QoSProfile(depth=1000, reliability=LATCHED.reliability, durability=LATCHED.durability)
 _START_PATIENCE_S = 60.0
+_ACK_PATIENCE_S = 10.0
 _POLL_S = 0.02
+#: Of an aircraft's states a planner keeps the newest until it gets round to it: time for that [s].
+_ROUND_S = 0.05
 
 #: Exit status when a plan was not the same.
 DIFFERENT = 3
@@ -83,7 +95,11 @@ class ReplayNode(Node):
                 if item.topic not in self._outs and (item.type_name != STATE or self._settings["states"]):
                     kind, qos = _KINDS[item.type_name]
                     self._outs[item.topic] = self.create_publisher(kind, item.topic.removeprefix(self._prefix), qos)
-        self.create_subscription(Deployment, "deployment", self._on_deployment, LATCHED)
+        self.create_subscription(Deployment, "deployment", self._on_deployment, _DEPLOYMENTS)
+        self._played = self._same = 0
+        self._different = ""
+        self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(1.0, self._on_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._done = self.create_guard_condition(self._on_done)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
@@ -98,6 +114,20 @@ class ReplayNode(Node):
         with self._news:
             self._heard.append(message)
             self._news.notify_all()
+
+    def _on_second(self) -> None:
+        figures = {"steps": len(self._steps), "steps told": self._played, "plans that are the same": self._same}
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if self._different else DiagnosticStatus.OK,
+            name=status_name(self.get_fully_qualified_name(), "replay"),
+            hardware_id=hardware_of(""),
+            message=f"{self._different}; plan with the recorded fleet file and parameters (scripts/report --extract)"
+            if self._different
+            else f"step {self._played} of {len(self._steps)}",
+            values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
+        )
+        header = Header(stamp=self.get_clock().now().to_msg())
+        self._diagnostics_out.publish(DiagnosticArray(header=header, status=[status]))
 
     def _on_done(self) -> None:
         self.context.try_shutdown()
@@ -119,9 +149,15 @@ class ReplayNode(Node):
         if self._heard:
             self.get_logger().warning("the planner has a plan already: start with a fresh one to get the same plans")
         plans = [step.plan for step in self._steps if step.plan is not None]
+        planner = self.get_publishers_info_by_topic(self.resolve_topic_name("deployment"))[0]
+        debounce = LongDebounce(self, f"{planner.node_namespace.rstrip('/')}/{planner.node_name}")
+        if not debounce.hold():
+            self.get_logger().warning("the planner's debounce_s cannot be raised: what belongs together may come apart")
         same = self._play()
         if self._stopping.is_set():
             return
+        if not debounce.release():
+            self.get_logger().warning("the planner's debounce_s and debounce_max_s could not be set back: restart it")
         self.status = 0 if same == len(plans) else DIFFERENT
         self.get_logger().info(f"replayed: {same} of {len(plans)} plans are the same")
 
@@ -136,29 +172,34 @@ class ReplayNode(Node):
 
     def _play(self) -> int:
         """Tell what came before a plan, wait for the planner's, and so on; return how many were the same."""
-        same, taken = 0, len(self._heard)
+        taken = len(self._heard)
         self._began = time.monotonic()
         for step in self._steps:
             self._tell_step(step)
+            self._played += 1
             if self._stopping.is_set():
                 break
             if step.plan is not None:
                 found = self._await_same(step.plan, taken)
-                same += found is not None
+                self._same += found is not None
                 taken = len(self._heard) if found is None else found + 1
-        return same
+        return self._same
 
     def _tell_step(self, step: Step) -> None:
         """Tell the states, then the reports together.
 
         States first: what the planner knows of the fleet when a device event comes must be what it knew then. Reports
         together, at recorded times too: how the planner gathers events into plans depends on milliseconds that a busy
-        machine does not keep.
+        machine does not keep. The planner's debounce is long enough for both (see `LongDebounce`).
         """
         states = [item for item in step.inputs if item.type_name == STATE]
-        for item in states if self._settings["rate"] else newest_states(states):
-            self._wait_for_time_of(item)
-            self._tell(item)
+        for told in [[item] for item in states] if self._settings["rate"] else state_rounds(states):
+            for item in told:
+                self._wait_for_time_of(item)
+                self._tell(item)
+            if not self._settings["rate"]:
+                self._await_heard()
+                self._stopping.wait(_ROUND_S)
         self._await_heard()
         reports = [item for item in step.inputs if item.type_name != STATE]
         for item in reports:
@@ -171,8 +212,9 @@ class ReplayNode(Node):
             self._stopping.wait(max(0.0, self._began + (item.sent_s - self._first_s) / rate - time.monotonic()))
 
     def _await_heard(self) -> None:
-        for publisher in self._outs.values():
-            publisher.wait_for_all_acked(Duration(seconds=1.0))
+        for topic, publisher in self._outs.items():
+            if not publisher.wait_for_all_acked(Duration(seconds=_ACK_PATIENCE_S)) and not self._stopping.is_set():
+                self.get_logger().warning(f"{topic}: not everybody has acknowledged it within {_ACK_PATIENCE_S:g} s")
 
     def _tell(self, item: Told) -> None:
         if item.topic in self._outs:
@@ -193,9 +235,10 @@ class ReplayNode(Node):
                 if not self._news.wait(max(0.0, deadline - time.monotonic())) and time.monotonic() >= deadline:
                     break
         if looked_at == taken:
-            self.get_logger().warning(f"{name}: the planner made none")
+            self._different = f"{name}: the planner made none"
         else:
-            self.get_logger().warning(f"{name}: another: {'; '.join(differences(plan, self._heard[-1]))}")
+            self._different = f"{name}: another: {'; '.join(differences(plan, self._heard[-1]))}"
+        self.get_logger().warning(self._different)
         return None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 from jpap_ros.report.flight_reader import DEPLOYMENT, DEVICES, GEO_DEVICES, STATE
@@ -84,9 +85,26 @@ def _is_news(items: Sequence[Told], known: set[str]) -> bool:
     return any(device.id not in known and device.id not in gone for device in first.message.devices)
 
 
-def newest_states(inputs: Iterable[Told]) -> list[Told]:
-    """Return the last state of each aircraft: what the planner goes by."""
-    return list({item.topic: item for item in inputs if item.type_name == STATE}.values())
+def state_rounds(inputs: Iterable[Told]) -> list[list[Told]]:
+    """Return what of the states the planner must be told, in rounds with at most one state of each aircraft.
+
+    The last state of each, which is what the planner goes by, and before it those in which its link or its being in
+    the air changed: what was lost and came back is an event all the same.
+    """
+    told: dict[str, list[Told]] = {}
+    for item in inputs:
+        if item.type_name == STATE:
+            kept = told.setdefault(item.topic, [])
+            if kept and _condition(kept[-1]) == _condition(item):
+                kept[-1] = item
+            else:
+                kept.append(item)
+    rounds = zip_longest(*told.values())
+    return [[item for item in entries if item is not None] for entries in rounds]
+
+
+def _condition(item: Told) -> tuple[int, int]:
+    return item.message.link, item.message.landed_state
 
 
 def differences(recorded: Any, made: Any) -> list[str]:
