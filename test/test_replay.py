@@ -139,6 +139,7 @@ def fly_and_record(graph: Graph, start_node: Callable[..., NodeProcess], fleet_f
     return path
 
 
+@pytest.mark.timeout(500)
 def test_a_planner_told_the_same_plans_the_same(
     graph: Graph, start_node: Callable[..., NodeProcess], fleet_file: Path, tmp_path: Path
 ) -> None:

@@ -2,7 +2,12 @@
 
 Oracle: the scenario's own expectations, held against what the nodes publish and the simulator's ground truth; exit
 statuses; the process table. The flight is recorded, and what the report makes of the recording is held against the
-simulator's truth, which is not in it.
+simulator's truth, which the report does not read.
+
+Positions come a few times a second, and where simulated time runs eight times as fast, one that a busy machine hands
+on late is off by metres: the report cannot know better. How much, the recording itself tells: at a gap longer than
+usual an aircraft was somewhere between the position before the gap and the second one after it. Nothing is allowed for
+where positions came in time.
 """
 
 from __future__ import annotations
@@ -15,17 +20,25 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from ament_index_python.packages import get_package_share_directory
 
+from jpap_ros.demo.run import LAUNCH_PATIENCE_S, START_PATIENCE_S
 from jpap_ros.demo.scenario import ScenarioError, load_scenario
+from jpap_ros.report.flight import Flight
 from jpap_ros.report.flight_reader import is_of_flight, read_flight
+from jpap_ros.report.motion import Separation
 from jpap_ros.report.page import compute
 from jpap_ros.report.recording import RecordingReader
 
 SCENARIOS = sorted((Path(__file__).parent.parent / "config" / "scenarios").glob("*.yaml"))
 #: The bridge sees aircraft a few times a second; simulated time runs several times as fast [m].
 SEEN_WITHIN_M = 5.0
+#: A position is late when it comes after so many usual periods.
+LATE = 1.5
+#: For what a scenario does not wait for: to start the nodes, to end them, and to draw [s].
+AROUND_S = 90.0
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
 
@@ -33,10 +46,37 @@ def demo(*arguments: str) -> list[str]:
     return [sys.executable, "-m", "jpap_ros.demo", *arguments]
 
 
-@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def patience_s(path: Path) -> float:
+    """How long a scenario may take by its own waits [s]: it then says itself what did not come about."""
+    options = [(step.kind, step.options) for step in load_scenario(path).steps]
+    launches = sum(kind == "launch" for kind, _ in options)
+    waits = sum(given[key] for _, given in options for key in ("timeout_s", "seconds", "over_s") if key in given)
+    return START_PATIENCE_S + launches * LAUNCH_PATIENCE_S + waits + AROUND_S
+
+
+def separation_limits_m(flight: Flight, separation: Separation) -> tuple[float, float]:
+    """Range in which the least separation was, by the report's and by what late positions leave open [m]."""
+    begins, ends = separation.moments - np.diff(flight.grid()), separation.moments
+    slack = np.zeros((len(flight.tracks), len(ends)))
+    for row, track in zip(slack, flight.tracks.values(), strict=True):
+        times, steps = np.array(track.times), np.linalg.norm(np.diff(track.places, axis=0), axis=1)
+        gaps = np.diff(times)
+        for i in np.flatnonzero(gaps > LATE * np.median(gaps)) if len(gaps) else ():
+            until = times[min(i + 2, len(times) - 1)]
+            touched = (begins <= until) & (ends >= times[i])
+            row[touched] = np.maximum(row[touched], steps[i : i + 2].sum())
+    # Of two aircraft.
+    open_m = np.sort(slack, axis=0)[-2:].sum(axis=0)
+    least, most = np.nanmin(separation.least_m - open_m), np.nanmin(separation.least_m + open_m)
+    return float(least) - SEEN_WITHIN_M, float(most) + SEEN_WITHIN_M
+
+
+@pytest.mark.parametrize(
+    "path", [pytest.param(path, marks=pytest.mark.timeout(patience_s(path) + 60.0), id=path.stem) for path in SCENARIOS]
+)
 def test_scenario_comes_to_its_end(path: Path, ros_domain: int, tmp_path: Path) -> None:
     command = demo("--scenario", path.stem, "--out", str(tmp_path), "--record")
-    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=175)
+    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=patience_s(path))
     logs = "".join(f"--- {log.name}\n{log.read_text()}" for log in tmp_path.glob("*.log"))
     assert run.returncode == 0, run.stdout + run.stderr + logs
     assert (tmp_path / "demo.png").read_bytes().startswith(PNG_MAGIC)
@@ -48,7 +88,8 @@ def test_scenario_comes_to_its_end(path: Path, ros_domain: int, tmp_path: Path) 
     found = compute(flight)
     assert flight.notes == ()
     assert sum(len(cell.device_ids) for cell in flight.plans[-1].message.cells) == int(summary[1])
-    assert found.separation.ever_m == pytest.approx(float(summary[2]), abs=SEEN_WITHIN_M)
+    least_m, most_m = separation_limits_m(flight, found.separation)
+    assert least_m <= float(summary[2]) <= most_m, (found.separation.ever_m, least_m, most_m)
     assert 0.0 < found.availability <= 1.0
 
 
