@@ -391,3 +391,5 @@ def test_topics_services_and_diagnostics_are_those_of_the_running_graph(
     documented = {name for row in table for name in re.findall(r"`([^`]+)`", row[0])}
     graph.wait(lambda: statuses() >= documented, "every status of docs/diagnostics.md")
     assert statuses() == documented
+    nameless = [status.name for array in diagnostics for status in array.status if not status.hardware_id]
+    assert not nameless, "every status says what it is about"
