@@ -21,6 +21,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from jpap_ros.nodes.qos import DEVICES, LATCHED
@@ -51,6 +52,10 @@ def write_fleet(path, count):
     return str(path)
 
 
+#: As latched topics are, but with room for all that comes while the test does something else.
+EVERY_PLAN = QoSProfile(depth=1000, reliability=LATCHED.reliability, durability=LATCHED.durability)
+
+
 class Planner:
     """A running planner and all that the test hears of it."""
 
@@ -59,7 +64,7 @@ class Planner:
         # Unless a test is about it, no plan comes from behind and takes a plan id.
         settings = {"fleet_file": fleet_file, "scheme": SCHEME, "reoptimise": False}
         self.process = start_node("planner", {**settings, **parameters})
-        self.deployments = graph.collect(Deployment, "deployment", LATCHED)
+        self.deployments = graph.collect(Deployment, "deployment", EVERY_PLAN)
         self.goals = {name: graph.collect(PoseStamped, f"{name}/goal_pose", LATCHED) for name in UAVS}
         self.powers = {name: graph.collect(PowerAllocation, f"{name}/power_allocation", LATCHED) for name in UAVS}
         self._devices = None
@@ -209,6 +214,23 @@ def test_a_planner_that_starts_late_gets_the_reports_it_missed(planner, graph):
         publisher.publish(report({name: entry}))
     node = planner(debounce_s=0.5, debounce_max_s=5.0)
     assert_cells_are(node.plan("5 devices joined"), cells_by_solve(GROUPS))
+
+
+@pytest.mark.parametrize("late", ["planner", "reporter"])
+def test_what_a_reporter_repeats_is_answered_by_one_plan_for_what_is_so_now(planner, graph, late):
+    """A device has moved a hundred times before the two found each other; only where it is now counts."""
+    node = planner() if late == "reporter" else None
+    if node:
+        graph.wait(lambda: graph.node.count_publishers("deployment"), "the planner")
+    reporter = graph.node.create_publisher(DeviceUpdate, "devices", DEVICES)
+    for step in range(100):
+        reporter.publish(report({"walker": (10.0 * step, 0.0, 16.0)}))
+    node = node or planner()
+    node.plan("1 device joined")
+    graph.spin(1.0)
+    (plan,) = node.deployments
+    (cell,) = plan.cells
+    assert cell.goal_pose.position.x == pytest.approx(990.0, abs=1e-3)
 
 
 def test_positions_in_degrees_end_where_the_earth_s_radii_put_them(planner, graph):

@@ -18,6 +18,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
@@ -35,6 +36,7 @@ from jpap_ros.fleet.relief import short_from_above
 from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.nodes import planner_conversions as conversions
+from jpap_ros.nodes.backlog import Backlog
 from jpap_ros.nodes.debounce import Debounce
 from jpap_ros.nodes.diagnostics import hardware_of, status_name
 from jpap_ros.nodes.lifecycle import ManagedNode
@@ -104,6 +106,7 @@ class PlannerNode(ManagedNode):
         #: The plan of a planner before this one, until enough is known to go on from it.
         self._restored: StoredPlan | None = None
         self._settle_by_s = -math.inf
+        self._backlog = Backlog()
         self._keeper: FleetKeeper | None = None
         self._roster: Roster | None = None
         #: Cells that a relief has taken over since the last plan.
@@ -140,8 +143,9 @@ class PlannerNode(ManagedNode):
             self._made.callback(self.remove_on_set_parameters_callback, self._refuse)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._made.callback(self.destroy_publisher, self._diagnostics_out)
-        self._subscribe(DeviceUpdate, "devices", self._on_devices, DEVICES)
-        self._subscribe(GeoDeviceUpdate, "geo_devices", self._on_geo_devices, DEVICES)
+        reporters = SubscriptionEventCallbacks(matched=self._on_reporter)
+        self._subscribe(DeviceUpdate, "devices", self._on_devices, DEVICES, reporters)
+        self._subscribe(GeoDeviceUpdate, "geo_devices", self._on_geo_devices, DEVICES, reporters)
         for name in self._fleet.names:
             self._subscribe(VehicleState, f"{name}/state", partial(self._on_state, name), LATCHED)
         # The answer waits for a plan: in a group of its own it holds up nothing else.
@@ -248,6 +252,10 @@ class PlannerNode(ManagedNode):
 
     # Events
 
+    def _on_reporter(self, matched: QoSSubscriptionMatchedInfo) -> None:
+        if matched.current_count_change > 0:
+            self._backlog.found(time.monotonic())
+
     def _on_devices(self, message: DeviceUpdate) -> None:
         self._answer_changes(self._intake.take(message))
 
@@ -255,6 +263,7 @@ class PlannerNode(ManagedNode):
         self._answer_changes(self._intake.take_geo(message))
 
     def _answer_changes(self, changes: Changes) -> None:
+        self._backlog.heard(time.monotonic())
         if changes:
             self._events.add_changes(changes)
             self._touch()
@@ -384,6 +393,9 @@ class PlannerNode(ManagedNode):
 
     def _on_quiet(self) -> None:
         if not self.active or not self._events:
+            return
+        if (left_s := self._backlog.left_s(time.monotonic())) > 0.0:
+            self._quiet.touch(time.monotonic(), left_s, left_s)
             return
         if not self._settled():
             self._quiet.touch(time.monotonic(), _SETTLE_PERIOD_S, _SETTLE_PERIOD_S)
@@ -602,8 +614,10 @@ class PlannerNode(ManagedNode):
     def _header(self) -> Header:
         return Header(stamp=self.get_clock().now().to_msg(), frame_id=self._settings["map_frame"])
 
-    def _subscribe(self, kind: type, topic: str, callback: Any, qos: QoSProfile) -> None:
-        subscription = self.create_subscription(kind, topic, callback, qos)
+    def _subscribe(
+        self, kind: type, topic: str, callback: Any, qos: QoSProfile, events: SubscriptionEventCallbacks | None = None
+    ) -> None:
+        subscription = self.create_subscription(kind, topic, callback, qos, event_callbacks=events)
         self._made.callback(self.destroy_subscription, subscription)
 
 
