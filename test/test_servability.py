@@ -130,3 +130,31 @@ def test_enumeration_gives_up_when_there_are_too_many():
         all_sets(servability, most=1000)
     with pytest.raises(TooManySets):
         maximal_sets(servability, deadline=0.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.integers(1, 40),
+    st.sampled_from([0.0, 100.0, 600.0, 3000.0]),
+    st.sampled_from([(1e-3, 20.9), (13, 20), (20.8, 20.95), (18, 18)]),
+    st.sampled_from([0.0, 1e8]),
+    st.sampled_from([None, 1, 2]),
+)
+def test_neighbours_are_the_pairs_that_are_servable(seed, count, side, demands, shift, most):
+    """Oracle: every pair, tested by itself."""
+    random = np.random.default_rng(seed)
+    positions, rates = random.uniform(0, side, (count, 2)) + shift, random.uniform(*demands, count)
+    servability = servability_of(positions, rates, most)
+    everyone, singles = np.arange(count), servability.singles()
+    near = servability.neighbours()
+    assert len(near) == count
+    for k in range(count):
+        good = servability.fits(singles[np.full(count, k)], everyone) & (everyone != k) & (most != 1)
+        np.testing.assert_array_equal(near[k], np.flatnonzero(good))
+
+
+def test_neighbours_are_looked_for_once():
+    random = np.random.default_rng(0)
+    servability = servability_of(random.uniform(0, 1500, (50, 2)), random.uniform(15, 20, 50))
+    assert servability.neighbours() is servability.neighbours()

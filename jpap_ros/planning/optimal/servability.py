@@ -10,11 +10,14 @@ within the disc of radius sqrt((1 - f(S, c)) / sum a) around c.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from jpap_ros.planning.link_budget import Floats
 from jpap_ros.planning.solver import Problem
@@ -24,6 +27,8 @@ Bools = NDArray[np.bool_]
 
 #: f may exceed 1 by this much: rounding of double precision, a thousandth of what `Deployment.violations` forgives.
 TOLERANCE = 1e-12
+#: Devices whose neighbours are looked for at a time; bounds the memory.
+_BLOCK = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,16 +136,36 @@ class Servability:
         index = np.asarray(members, dtype=np.int64)
         return len(index) <= self.cell_limit and bool(self.measure(index).load[0] <= 1 + TOLERANCE)
 
-    def neighbours(self, block: int = 512) -> list[Ints]:
+    def neighbours(self) -> list[Ints]:
         """For each device the others that can share a cell with it: a servable set is a clique of this relation."""
-        found: list[Ints] = []
-        if self.cell_limit < 2:
-            return [np.empty(0, np.int64)] * len(self)
-        singles, everyone = self.singles(), np.arange(len(self))
-        for start in range(0, len(self), block):
-            rows = np.arange(start, min(start + block, len(self)))
-            part = singles[rows]
-            good = self.fits(Sets(part.weight[:, None], part.centroid[:, None], part.load[:, None]), everyone[None])
-            good[np.arange(len(rows)), rows] = False
-            found += [np.flatnonzero(row) for row in good]
-        return found
+        return self._neighbours
+
+    @cached_property
+    def _neighbours(self) -> list[Ints]:
+        count = len(self)
+        if self.cell_limit < 2 or count < 2:
+            return [np.empty(0, np.int64)] * count
+        first, second = (np.concatenate(part) for part in zip(*self._pairs(), strict=True))
+        source, other = np.concatenate([first, second]), np.concatenate([second, first])
+        other = other[np.lexsort((other, source))]
+        # Shared by all who ask.
+        other.flags.writeable = False
+        return np.split(other, np.cumsum(np.bincount(source, minlength=count))[:-1])
+
+    def _pairs(self) -> Iterator[tuple[Ints, Ints]]:
+        """All pairs that can share a cell, each once, in blocks.
+
+        f of a pair d apart is (a + b) H^2 + a b / (a + b) d^2. For b >= a it grows with b, so the device of less
+        demand has all its partners of more within the distance at which f(a, a) = 1.
+        """
+        a, singles, tree = self.demand, self.singles(), cKDTree(self.positions)
+        reach = np.sqrt(np.maximum(1 + 2 * TOLERANCE - 2 * a * self.height2, 0) * 2 / a) * (1 + 1e-9)
+        for start in range(0, len(self), _BLOCK):
+            rows = np.arange(start, min(start + _BLOCK, len(self)))
+            near = tree.query_ball_point(self.positions[rows], reach[rows])
+            first = np.repeat(rows, [len(row) for row in near])
+            second = np.fromiter(chain.from_iterable(near), np.int64, len(first))
+            once = (a[second] > a[first]) | ((a[second] == a[first]) & (second > first))
+            first, second = first[once], second[once]
+            good = self.fits(singles[first], second)
+            yield first[good], second[good]
