@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -210,6 +211,24 @@ def test_a_plan_from_scratch_is_flown_only_where_it_is_worth_it():
 
     # On the ground metres cost nothing.
     assert weigh(full, devices, settings_, fleet, present, ReplanningPolicy(metre_cost=100.0)).adopted
+
+
+def test_a_plan_that_stays_is_not_called_proven_where_the_separation_leaves_a_device_out():
+    """Two UAVs are needed, and at least two; but within 5 m of one place no two can hover 20 m apart."""
+    link = LinkBudget()
+    demand = math.log2(1 + link.power_eta / (5.0**2 + link.altitude_m**2))
+    devices = [Device(name, (0.0, 0.0), demand) for name in ("a", "b")]
+    fleet = [craft(f"u{i}", 10 * i, 0) for i in range(2)]
+    settings_ = PlanSettings(scheme="optimal", min_separation_m=20.0, time_limit_s=5.0)
+    # As many UAVs as the scheme without a bound asks for.
+    present = replace(plan_from_scratch(devices, settings_, fleet), uavs_needed=2)
+    full = full_deployment(devices, settings_, len(fleet))
+    assert len(full.unserved) == len(present.unserved) == 1
+    assert full.min_uavs_bound == 2
+
+    left = weigh(full, devices, settings_, airborne(fleet), present, ReplanningPolicy(metre_cost=100.0))
+    assert not left.adopted and left.plan.min_uavs_bound == 2
+    assert not left.plan.proven_optimal
 
 
 def test_the_quick_plan_of_a_slow_scheme_meets_every_demand():

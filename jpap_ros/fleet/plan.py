@@ -202,7 +202,8 @@ def weigh(
     plan = replace(
         present,
         min_uavs_bound=bound,
-        proven_optimal=bound is not None and bound == present.uavs_needed,
+        # Where devices are left out, the bound alone does not say that so many UAVs would serve them.
+        proven_optimal=bound == present.uavs_needed and (full.proven_optimal or not present.unserved),
         average_uav_rate_bound=_rate_bound(full, settings) if alike else math.nan,
     )
     return Weighed(plan, False, decision.reason)
