@@ -36,7 +36,8 @@ class Deployment:
     coverage_radius_m : (N,) float or None
         Common coverage radius of each UAV [m], for schemes that have one.
     uavs_needed : int
-        UAVs that serve every servable device; more than N where `max_uavs` was too small.
+        UAVs that serve every servable device; more than N where `max_uavs` was too small. Where no fleet was found
+        whose UAVs serve them all as far apart as `min_separation_m` asks: at least so many.
     min_uavs_bound : int or None
         Proven lower bound on the UAVs needed to serve every servable device.
     proven_optimal : bool
@@ -50,6 +51,9 @@ class Deployment:
     average_uav_rate_bound : float or None
         Proven upper bound on the average UAV rate of any deployment of N UAVs that serves the same devices
         [bit/s/Hz].
+    served_weight_bound : float or None
+        Where not every device is served: proven upper bound on the total weight of the devices that the fleet can
+        serve. What is served is proven to be the most where its weight reaches the bound.
     """
 
     uav_positions: Floats
@@ -65,6 +69,7 @@ class Deployment:
     scheme: str
     runtime_s: float
     average_uav_rate_bound: float | None = None
+    served_weight_bound: float | None = None
 
     def __post_init__(self) -> None:
         def frozen(array: ArrayLike, dtype: type, shape: tuple[int, ...]) -> NDArray[np.generic]:
@@ -148,6 +153,7 @@ def make_deployment(
     proven_optimal: bool = False,
     runtime_s: float = 0.0,
     average_uav_rate_bound: float | None = None,
+    served_weight_bound: float | None = None,
 ) -> Deployment:
     """Make a deployment from cells (index arrays), UAV positions (N, 2) [m] and device powers (K,) [W].
 
@@ -177,4 +183,5 @@ def make_deployment(
         scheme=scheme,
         runtime_s=runtime_s,
         average_uav_rate_bound=average_uav_rate_bound,
+        served_weight_bound=served_weight_bound,
     )

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from jpap_ros.planning.link_budget import Floats
 
@@ -186,3 +187,13 @@ def _radical_axis(disc: Disc, other: Disc) -> tuple[float, float, float]:
     """Coefficients (a, b, c) of the line a x + b y = c of equal excess, relative to the disc's centre."""
     dx, dy = other[0] - disc[0], other[1] - disc[1]
     return dx, dy, (dx * dx + dy * dy - other[2] + disc[2]) / 2
+
+
+def close_pairs(points: NDArray[np.float64], distance: float) -> NDArray[np.int64]:
+    """Pairs of points closer than a distance, (n, 2)."""
+    if distance <= 0 or len(points) < 2:
+        return np.empty((0, 2), np.int64)
+    pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
+    apart = np.hypot(*(points[pairs[:, 0]] - points[pairs[:, 1]]).T)
+    close: NDArray[np.int64] = pairs[apart < distance].astype(np.int64)
+    return close

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 
 from jpap_ros.planning.deployment import Deployment
+from jpap_ros.planning.geometry import close_pairs
+from jpap_ros.planning.link_budget import Floats
 from jpap_ros.planning.optimal.servability import Ints, Servability
 from jpap_ros.planning.solver import Problem
 
@@ -21,16 +24,18 @@ def limit_fleet(problem: Problem, deployment: Deployment) -> Deployment:
     if problem.max_uavs is None or count <= problem.max_uavs:
         return deployment
     served = deployment.serving_uav >= 0
-    serving = deployment.serving_uav[served]
-    weight = np.bincount(serving, weights=problem.weights[served], minlength=count)
-    demand = np.bincount(serving, weights=problem.rates[served], minlength=count)
-    flown = np.sort(np.lexsort((np.arange(count), -demand, -weight))[: problem.max_uavs])
+    whole = [deployment.cell(uav) for uav in range(count)]
+    worth = [(exact_sum(problem.weights[cell]), exact_sum(problem.rates[cell])) for cell in whole]
+    flown = np.sort(sorted(range(count), key=worth.__getitem__, reverse=True)[: problem.max_uavs]).astype(np.int64)
     number = np.full(count + 1, -1)
     number[flown] = np.arange(len(flown))
     serving_uav = number[deployment.serving_uav]
     left_out = np.flatnonzero(served & (serving_uav < 0))
-    cells = [np.flatnonzero(serving_uav == uav) for uav in range(len(flown))]
-    reasons = explain(problem, cells, left_out, deployment.uavs_needed)
+    cells = [whole[uav] for uav in flown]
+    apart = not len(close_pairs(deployment.uav_positions, problem.min_separation_m))
+    reasons = explain(
+        problem, cells, deployment.uav_positions[flown], left_out, deployment.uavs_needed if apart else None
+    )
     radius = deployment.coverage_radius_m
     return replace(
         deployment,
@@ -45,20 +50,41 @@ def limit_fleet(problem: Problem, deployment: Deployment) -> Deployment:
     )
 
 
-def explain(problem: Problem, cells: list[Ints], left_out: Ints, uavs_needed: int) -> dict[int, str]:
-    """Why each device is left out by a fleet of these cells, and what more UAVs or power would serve it."""
+def exact_sum(values: Floats) -> Fraction:
+    """The sum without rounding: weights of very different size count, each in full."""
+    return sum(map(Fraction, values.tolist()), Fraction(0))
+
+
+def explain(
+    problem: Problem, cells: list[Ints], positions: Floats, left_out: Ints, uavs_needed: int | None
+) -> dict[int, str]:
+    """Why each device is left out by a fleet of these cells, and what more UAVs or power would serve it.
+
+    Parameters
+    ----------
+    positions : (N, 2) float
+        Where the UAVs hover [m].
+    uavs_needed : int or None
+        UAVs that are known to serve every device; None where no number is.
+    """
     servability = Servability.of(problem)
     sets = servability.measure_all(cells)
     room = np.array([len(cell) < problem.cell_limit for cell in cells], dtype=bool)
-    more = uavs_needed - len(cells)
     fleet = f"the fleet of {len(cells)} UAV{'s' * (len(cells) != 1)} is used up"
-    help_uavs = f"{more} more UAV{'s' * (more != 1)} would serve every device"
+    helps = []
+    if uavs_needed is not None:
+        more = uavs_needed - len(cells)
+        helps.append(f"{more} more UAV{'s' * (more != 1)} would serve every device")
     reasons = {}
     for k in left_out.tolist():
-        load = servability.joined(sets, np.full(len(cells), k)).load
+        joined = servability.joined(sets, np.full(len(cells), k))
+        load = joined.load
+        if problem.min_separation_m > 0:
+            # From where it hovers: elsewhere it might be too close to another one.
+            load = load + joined.weight * ((joined.centroid - positions) ** 2).sum(axis=1)
         load = np.where(room, load, np.inf)
         if not len(cells) or not np.isfinite(load).any():
-            why = f"{fleet} or full; {help_uavs}" if cells else f"{fleet}; {help_uavs}"
+            why, others = f"{fleet} or full" if cells else fleet, helps
         else:
             uav = int(load.argmin())
             decibels = 10 * math.log10(max(float(load[uav]), 1.0))
@@ -68,6 +94,6 @@ def explain(problem: Problem, cells: list[Ints], left_out: Ints, uavs_needed: in
                 if decibels > 0
                 else f"UAV {uav} could serve it too with its power shared out otherwise"
             )
-            why = f"{fleet}; {help_uavs}, or {other}"
-        reasons[k] = why
+            why, others = fleet, [*helps, other]
+        reasons[k] = "; ".join([why, ", or ".join(others)] if others else [why])
     return reasons
