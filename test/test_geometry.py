@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -89,3 +90,17 @@ def test_nearest_common_point(corners: list[tuple[float, float]], away: tuple[fl
     inside = samples[(((samples[:, None] - centres) ** 2).sum(axis=2) <= squared).all(axis=1)]
     towards = (inside - found) @ (np.array(away) - found)
     assert (towards <= 1e-4 * (1 + np.hypot(*(np.array(away) - found)))).all()
+
+
+@pytest.mark.parametrize("radius", [150.0, 288.0, 289.0, 400.0])
+def test_centres_in_a_line_but_for_rounding(radius: float) -> None:
+    """Three centres 1e-190 m off a line: the point equally far from all is beyond any number, and not the answer.
+
+    Oracle: the discs share a point as soon as those of the two ends do, 577 m apart.
+    """
+    for order in itertools.permutations([(0.0, 0.0), (0.0, 374.0), (9.61916386e-191, 577.0)]):
+        centres = np.array(order)
+        found = common_point(centres, np.full(3, radius**2))
+        assert (found is not None) == (radius >= 577 / 2)
+        if found is not None:
+            assert (((centres - found) ** 2).sum(axis=1) <= radius**2 * (1 + 1e-9)).all()

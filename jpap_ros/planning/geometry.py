@@ -163,7 +163,8 @@ def _extended_basis(basis: list[Disc], entering: Disc) -> tuple[float, float, fl
             if point is None:
                 continue
             x, y = point
-            value = max((x - u) ** 2 + (y - v) ** 2 - r2 for u, v, r2 in everyone)
+            # Products, not powers: where rounding throws the point far away they are infinite, and raise nothing.
+            value = max((x - u) * (x - u) + (y - v) * (y - v) - r2 for u, v, r2 in everyone)
             if best is None or value < best[2]:
                 best = x, y, value, [*chosen, entering]
     return best
