@@ -1,6 +1,7 @@
 """The plan in a file. Oracle: the plan that was stored; and files damaged by hand."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -48,6 +49,13 @@ def test_a_file_without_stamps_and_those_sent_home_is_read_too(stored):
     assert (read.plan_id, read.stamps, read.sent_home) == (17, {}, frozenset())
 
 
+def test_powers_that_wait_for_their_place_still_do_so_after_a_restart(stored):
+    path, plan = stored
+    waits = replace(plan.cells[0], apply_within_m=12.5, power_until_w=(("a", 4.0),))
+    save_plan(path, ORIGIN, 18, DEVICES, SETTINGS, replace(plan, cells=(waits, *plan.cells[1:])))
+    assert load_plan(path, ORIGIN).plan(FLEET).cells == (waits, *plan.cells[1:])
+
+
 def test_planning_goes_on_as_if_nothing_had_happened(stored):
     path, plan = stored
     again = load_plan(path, ORIGIN).plan(FLEET)
@@ -91,6 +99,7 @@ DAMAGE = {
     "device": damaged(lambda c: c["devices"][0].update(rate_demand=-1.0)),
     "unknown device in a cell": damaged(lambda c: c["cells"][0]["device_ids"].__setitem__(0, "nobody")),
     "power": damaged(lambda c: c["cells"][0]["power_w"].__setitem__(0, 1e-6)),
+    "waiting": damaged(lambda c: c["waiting"].update({"0": [1.0]})),
     "setting": damaged(lambda c: c["settings"].update(colour="red")),
 }
 

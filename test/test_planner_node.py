@@ -560,6 +560,35 @@ def test_of_a_storm_of_events_none_is_lost_and_none_told_twice(planner, graph):
     assert_demands_met(node.last, known)
 
 
+def flies_at_its_goal(graph, node, cell):
+    """Let telemetry say that a cell's aircraft is there, and wait for the plan that says so."""
+    state = VehicleState(uav=cell.uav, link=VehicleState.LINK_CONNECTED, landed_state=VehicleState.LANDED_IN_AIR)
+    state.position_valid, state.position = True, cell.goal_pose.position
+    graph.publisher(VehicleState, f"{cell.uav}/state", LATCHED).publish(state)
+    return node.plan(f"{cell.uav} joined")
+
+
+def test_powers_wait_until_they_suit_those_who_are_served(planner, graph):
+    """By hand: shared by two, 10 W reach devices of 17 bit/s/Hz up to 188.8 m; by three, up to
+    sqrt(1e10 / 3 / (2^17 - 1) - 50^2) = 151.4 m. The UAV over a goes to 290 - 188.8 = 101.2 m when b joins, and on to
+    290 - 151.4 = 138.6 m when c does: only there is b within reach of its new power.
+    """
+    node = planner(uavs=1)
+    node.send({"a": (0.0, 0.0, 17.0)})
+    node.plan("1 device joined")
+    node.send({"b": (290.0, 0.0, 17.0)})
+    graph.wait(lambda: len(node.deployments) == 2, "the plan for b")
+    assert node.last.cells[0].goal_pose.position.x == pytest.approx(101.2, abs=0.1)
+    flies_at_its_goal(graph, node, node.last.cells[0])
+    node.send({"c": (150.0, 0.0, 17.0)})
+    graph.wait(lambda: len(node.last.cells[0].device_ids) == 3, "the plan for c")
+    assert node.last.cells[0].goal_pose.position.x == pytest.approx(138.6, abs=0.1)
+    assert not node.last.interrupted and not node.last.unserved
+    powers = node.powers["uav1"]
+    graph.wait(lambda: powers[-1].plan_id == node.last.plan_id, "the powers of that plan")
+    assert {len(m.device_ids): m.apply_within_m for m in powers} == {1: 0.0, 2: 0.0, 3: pytest.approx(2.0)}
+
+
 @pytest.mark.parametrize(("apart", "interrupted"), [(250.0, ["b"]), (150.0, [])])
 def test_a_device_is_interrupted_only_if_it_must_be_and_then_it_is_reported(planner, graph, apart, interrupted):
     """By hand, from equations (3) and (10): with half the power each, a device of 17 bit/s/Hz is served up to
@@ -571,10 +600,10 @@ def test_a_device_is_interrupted_only_if_it_must_be_and_then_it_is_reported(plan
     node.send({name: devices[name] for name in "ab"})
     (first,) = node.plan("2 devices joined").cells
     node.send({"c": devices["c"]})
-    assert {frozenset(cell.device_ids) for cell in node.plan("1 device joined").cells} == {
-        frozenset("ab"),
-        frozenset("c"),
-    }
+    cells = {frozenset(cell.device_ids): cell for cell in node.plan("1 device joined").cells}
+    assert cells.keys() == {frozenset("ab"), frozenset("c")}
+    # Only who is known to be in the air takes devices over without an interruption.
+    flies_at_its_goal(graph, node, cells[frozenset("c")])
     lost = graph.publisher(VehicleState, f"{first.uav}/state", LATCHED)
     lost.publish(VehicleState(uav=first.uav, link=VehicleState.LINK_LOST))
     plan = node.plan(f"{first.uav} is lost")

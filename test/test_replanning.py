@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from jpap_ros.planning import LinkBudget, solve
 from jpap_ros.planning.replanning import replan
-from jpap_ros.planning.replanning_continuity import Continuity
+from jpap_ros.planning.replanning_continuity import HOVER_RADIUS_M, Continuity, OnAir, Radio
 from jpap_ros.planning.replanning_decision import ReplanningPolicy, consider
 from jpap_ros.planning.replanning_position import nearest_position
 from jpap_ros.planning.replanning_rules import POWER_RULES, PowerRule
@@ -221,7 +221,8 @@ def test_interruptions_against_sampled_flights(seed, reach):
 
     old = LiveCell(0, tuple(a.tolist()), demands.ids, tuple(powers(a).tolist()))
     new = LiveCell(0, tuple(b.tolist()), demands.ids, tuple(powers(b).tolist()))
-    broken = Continuity(LivePlan((old,), demands, {}, 1, 1), demands, LINK).broken_by(new)
+    now = OnAir.at_goals(LivePlan((old,), demands, {}, 1, 1), LINK)
+    broken = Continuity(now, demands, LINK).power_change(new).broken
     way = np.linspace(0, 1, 201)
     distance2 = ((a + way[:, None, None] * (b - a) - demands.positions) ** 2).sum(axis=2)
 
@@ -234,6 +235,48 @@ def test_interruptions_against_sampled_flights(seed, reach):
 
     # Between two samples, at most 0.71 m apart, a rate changes by less than 0.71 / (H ln 2) = 0.0205 bit/s/Hz.
     assert fewest(0.021) <= len(broken) <= fewest(-0.021)
+
+
+@settings(max_examples=200, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_who_is_not_named_is_served_all_the_way_with_the_powers_that_apply(seed):
+    """Oracle: the way from anywhere in space, sampled at 401 places, and equation (3) with the powers of each."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 5))
+    names = [f"d{i}" for i in range(count)]
+    demands = Demands.of(names, rng.uniform(0, 100, (count, 2)), rng.uniform(12, 15, count))
+    a, b = rng.uniform((-20, -20, 30), (120, 120, 80)), np.array([*rng.uniform(0, 100, 2), LINK.altitude_m])
+    if rng.random() < 0.2:
+        a[:2] = b[:2]
+
+    def powers(at, spare):
+        distance2 = ((demands.positions - at[:2]) ** 2).sum(axis=1) + at[2] ** 2
+        return (2**demands.rates - 1) * distance2 / LINK.eta * rng.uniform(0.98, spare, count)
+
+    old, new = powers(a, 1.8), np.maximum(powers(b, 1.8), powers(b, 1.0))
+    elsewhere = rng.random(count) < 0.3  # served by another UAV until now
+    radio = Radio(tuple(a.tolist()), {n: float(p) for n, p, o in zip(names, old, elsewhere, strict=True) if not o})
+    other = Radio((0.0, 0.0, 50.0), {n: 1e6 for n, o in zip(names, elsewhere, strict=True) if o})
+    cell = LiveCell(3, tuple(b[:2].tolist()), tuple(names), tuple(new.tolist()))
+    change = Continuity(OnAir({3: radio}, (other,)), demands, LINK).power_change(cell)
+
+    way = a + np.linspace(0, 1, 401)[:, None] * (b - a)
+    left_m = np.linalg.norm(way - b, axis=1)
+    distance2 = ((way[:, None, :2] - demands.positions) ** 2).sum(axis=2) + way[:, 2:] ** 2
+    changed = np.logical_or.accumulate(left_m <= change.within_m) if change.within_m else np.ones(401, dtype=bool)
+    power = np.where(changed[:, None], new, np.where(elsewhere, 0.0, old))
+    rate = np.log2(1 + power * LINK.eta / distance2)
+    # Within 2 m of the goal a rate may be short by what 2 m nearer than 50 m make: 2 / (30 ln 2).
+    short = (rate < demands.rates - np.where(left_m <= HOVER_RADIUS_M, 0.1, 1e-6)[:, None]).any(axis=0)
+    meets_at_goal = np.log2(1 + new * LINK.eta / distance2[-1]) >= demands.rates - 1e-9
+    now = elsewhere | (np.log2(1 + old * LINK.eta / distance2[0]) >= demands.rates)
+    for k, name in enumerate(names):
+        if now[k] and name not in change.broken and meets_at_goal[k]:
+            assert not short[k], f"{name} is short of its rate"
+        if not now[k]:
+            assert name not in change.broken or old[k] * LINK.eta / distance2[0, k] >= (2 ** demands.rates[k] - 1) * (
+                1 - 1e-8
+            )
 
 
 @settings(max_examples=40, deadline=None)

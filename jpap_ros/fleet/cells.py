@@ -25,6 +25,10 @@ class Aircraft:
         Whether telemetry says that it is in the air.
     unavailable : str
         Why it can take no cell, in words; empty if it can.
+    located : bool
+        Whether it is sure to be at `position` and flies on from there as it is told.
+    up_m : float or None
+        How high it is there [m]; None: as high as the goals are.
     """
 
     name: str
@@ -32,11 +36,24 @@ class Aircraft:
     connected: bool = False
     airborne: bool = False
     unavailable: str = ""
+    located: bool = True
+    up_m: float | None = None
 
     @property
     def available(self) -> bool:
         """Whether it can be given a cell."""
         return not self.unavailable
+
+    @property
+    def serves_nobody(self) -> bool:
+        """Whether it cannot have served anybody until now: it stands on the ground, or was never heard."""
+        return not self.airborne and (self.connected or self.available)
+
+    def place(self, level_m: float) -> tuple[float, float, float] | None:
+        """Where it flies, east, north, up [m]; None if it does not, or where is unknown. Goals are at `level_m`."""
+        if not (self.airborne and self.connected and self.available and self.located):
+            return None
+        return (*self.position, level_m if self.up_m is None else self.up_m)
 
 
 @dataclass(frozen=True)
@@ -56,6 +73,10 @@ class FleetCell:
         For each device: transmit power [W] and rate [bit/s].
     coverage_radius_m : float
         Common coverage radius [m]; NaN where the scheme has none.
+    apply_within_m : float
+        Distance from the goal within which the aircraft takes these powers [m]; 0: at once.
+    power_until_w : tuple of (str, float)
+        Power for each device that it goes on with until then [W].
     """
 
     id: int
@@ -65,6 +86,8 @@ class FleetCell:
     power_w: tuple[float, ...]
     rate: tuple[float, ...]
     coverage_radius_m: float = math.nan
+    apply_within_m: float = 0.0
+    power_until_w: tuple[tuple[str, float], ...] = ()
 
     @property
     def uav_rate(self) -> float:
@@ -88,7 +111,8 @@ class FleetPlan:
     average_uav_rate_bound : float
         Proven upper bound on `average_uav_rate` with this number of UAVs [bit/s]; NaN where none is known.
     interrupted : mapping of str to str
-        Devices that are served on, but whose guaranteed rate the change to this plan interrupts, and why.
+        Devices that are served on, but whose guaranteed rate the change to this plan, or to one before it, interrupts,
+        and why.
     from_scratch : bool
         Whether the scheme made it from the devices alone; else it is a change of an earlier plan.
     """

@@ -14,10 +14,11 @@ import numpy as np
 
 from jpap_ros.fleet.assignment import OBJECTIVES
 from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
+from jpap_ros.fleet.handover import handed_over, on_air
 from jpap_ros.fleet.naming import name_cells
 from jpap_ros.planning import Deployment, LinkBudget, solve
 from jpap_ros.planning.devices import Device
-from jpap_ros.planning.replanning import compare, replan
+from jpap_ros.planning.replanning import replan
 from jpap_ros.planning.replanning_decision import ReplanningPolicy, consider
 from jpap_ros.planning.replanning_state import Demands, Limits, LivePlan
 from jpap_ros.planning.solver import MIN_RATE
@@ -138,8 +139,9 @@ def plan_change(
     """
     available = [craft for craft in aircraft if craft.available]
     demands, limits = settings.demands(devices), settings.limits(len(available))
-    change = replan(present.live, demands, limits, _lost_cells(present, available, demands))
-    return named_plan(change.plan, settings, available, present.names, interrupted=change.interrupted)
+    now = on_air(present, aircraft, settings.link, present.names)
+    live = replan(present.live, demands, limits, _lost_cells(present, available, demands), now).plan
+    return handed_over(present, named_plan(live, settings, available, present.names), aircraft, settings.link)
 
 
 def plan_from_scratch(
@@ -162,9 +164,9 @@ def plan_from_scratch(
     if slow:
         # The quick scheme's cells, with the power rule of the scheme that was asked for.
         live = replan(live, demands, limits).plan
-    interrupted = compare(present.live, live, limits).interrupted if present is not None else {}
     holders = present.names if present is not None else {}
-    return named_plan(live, settings, available, holders, full=None if slow else full, interrupted=interrupted)
+    plan = named_plan(live, settings, available, holders, full=None if slow else full)
+    return handed_over(present, plan, aircraft, settings.link)
 
 
 def weigh(
@@ -192,11 +194,11 @@ def weigh(
     if not any(craft.airborne for craft in aircraft if craft.name in used):
         tolerance = min(policy.tolerance, _GROUND_TOLERANCE)
         policy = replace(policy, metre_cost=0.0, launch_cost=0.0, interruption_cost=0.0, tolerance=tolerance)
-    decision = consider(full, present.live, demands, limits, policy)
+    now = on_air(present, aircraft, settings.link, present.names)
+    decision = consider(full, present.live, demands, limits, policy, on_air=now)
     if decision.adopt:
-        change = decision.change
-        plan = named_plan(change.plan, settings, available, present.names, full=full, interrupted=change.interrupted)
-        return Weighed(plan, True, decision.reason)
+        plan = named_plan(decision.change.plan, settings, available, present.names, full=full)
+        return Weighed(handed_over(present, plan, aircraft, settings.link), True, decision.reason)
     bound = full.min_uavs_bound
     alike = len(present.cells) == len(full.uav_positions) and len(present.unserved) == len(full.unserved) == 0
     plan = replace(
@@ -242,7 +244,6 @@ def named_plan(
     available: Sequence[Aircraft],
     holders: Mapping[int, str],
     full: Deployment | None = None,
-    interrupted: Mapping[str, str] | None = None,
 ) -> FleetPlan:
     """Give the cells of a plan aircraft.
 
@@ -256,8 +257,6 @@ def named_plan(
         Aircraft that cells have already, by the cell's id.
     full : Deployment, optional
         The plan from scratch that this is, if it is one.
-    interrupted : mapping of str to str, optional
-        See FleetPlan.
     """
     deployment = live.deployment(settings.limits(len(available)))
     radii = deployment.coverage_radius_m
@@ -283,7 +282,6 @@ def named_plan(
         proven_optimal=full is not None and full.proven_optimal,
         average_uav_rate_bound=_rate_bound(full, settings),
         scheme=settings.scheme,
-        # One that is left out altogether is among the unserved.
-        interrupted={name: why for name, why in (interrupted or {}).items() if name not in live.unserved},
+        interrupted={},
         from_scratch=full is not None,
     )

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from jpap_ros.fleet.cells import Aircraft, FleetPlan
+from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
 from jpap_ros.fleet.config import MapOrigin
 from jpap_ros.fleet.plan import PlanSettings, named_plan
 from jpap_ros.planning import LinkBudget
@@ -41,6 +41,8 @@ class StoredPlan:
         Stamp of the newest report of each device [ns]; 0 where that had none.
     sent_home : frozenset of str
         Aircraft that the planner, and nobody else, has sent home since they were launched.
+    waiting : mapping of int to (float, mapping of str to float)
+        Of each cell whose radio goes on with other powers for now: `apply_within_m` and `power_until_w` of FleetCell.
     """
 
     plan_id: int
@@ -50,13 +52,19 @@ class StoredPlan:
     names: Mapping[int, str]
     stamps: Mapping[str, int] = field(default_factory=dict)
     sent_home: frozenset[str] = frozenset()
+    waiting: Mapping[int, tuple[float, Mapping[str, float]]] = field(default_factory=dict)
 
     def plan(self, aircraft: Sequence[Aircraft]) -> FleetPlan:
         """Return the plan for a fleet; a cell whose aircraft is not in it any more has none."""
         known = {craft.name for craft in aircraft}
         holders = {cell: name for cell, name in self.names.items() if name in known}
         held = [craft for craft in aircraft if craft.name in holders.values()]
-        return named_plan(self.live, self.settings, held, holders)
+        plan = named_plan(self.live, self.settings, held, holders)
+        return replace(plan, cells=tuple(self._waits(cell) for cell in plan.cells))
+
+    def _waits(self, cell: FleetCell) -> FleetCell:
+        within_m, powers = self.waiting.get(cell.id, (0.0, {}))
+        return replace(cell, apply_within_m=within_m, power_until_w=tuple(powers.items()))
 
     def renamed(self, aircraft: Sequence[Aircraft]) -> FleetPlan:
         """Return the same cells for whoever is nearest: where the names may be out of date."""
@@ -90,6 +98,9 @@ def save_plan(
         "devices": [asdict(device) for device in devices],
         "cells": [asdict(cell) for cell in plan.live.cells],
         "names": {str(cell): name for cell, name in plan.names.items()},
+        "waiting": {
+            str(cell.id): [cell.apply_within_m, dict(cell.power_until_w)] for cell in plan.cells if cell.apply_within_m
+        },
         "unserved": dict(plan.unserved),
         "next_id": plan.live.next_id,
         "uavs_needed": plan.uavs_needed,
@@ -162,4 +173,7 @@ def _stored(content: Mapping[str, Any], origin: MapOrigin) -> StoredPlan:
     # Files of before these were kept are read as well.
     stamps = {str(name): int(stamp) for name, stamp in content.get("stamps", {}).items()}
     sent_home = frozenset(map(str, content.get("sent_home", ())))
-    return StoredPlan(int(content["plan_id"]), table.devices, settings, live, names, stamps, sent_home)
+    waiting = {
+        int(cell): (float(within_m), dict(powers)) for cell, (within_m, powers) in content.get("waiting", {}).items()
+    }
+    return StoredPlan(int(content["plan_id"]), table.devices, settings, live, names, stamps, sent_home, waiting)

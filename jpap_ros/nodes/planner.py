@@ -30,6 +30,7 @@ from jpap_ros.fleet.bridge_watch import BridgeWatch
 from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.fleet.events import AircraftWatch, Events
+from jpap_ros.fleet.handover import handed_over
 from jpap_ros.fleet.plan import SLOW_SCHEMES, PlanSettings, Weighed, with_crew
 from jpap_ros.fleet.plan_store import PlanStoreError, StoredPlan, load_plan, save_plan
 from jpap_ros.fleet.relief import short_from_above
@@ -537,14 +538,18 @@ class PlannerNode(ManagedNode):
         health = self._health
         health.plan_id += 1
         reliefs = {}
+        short: dict[str, str] = {}
         if self._keeper is not None:
             roster = self._keep_fleet(plan)
             plan = with_crew(plan, roster.crew)
             reliefs = {name: roster.goals[name] for name in roster.reliefs.values()}
             short = short_from_above(plan, self._relieved, settings.link, self._settings["station_above_m"])
-            plan = replace(plan, interrupted={**plan.interrupted, **short})
             self._relieved.clear()
             reason = ", ".join([reason, *(event for event in roster.events if event not in reason)])
+        # Against what the radios were last told, for who flies now and from where.
+        plan = handed_over(health.plan, plan, self._all_aircraft(), settings.link)
+        plan = replace(plan, interrupted={**plan.interrupted, **short})
+        newly = plan.interrupted.keys() - (health.plan.interrupted if health.plan is not None else {})
         # What anybody was told must survive a kill.
         self._store(plan, devices, settings)
         now = time.monotonic()
@@ -556,10 +561,10 @@ class PlannerNode(ManagedNode):
         self.get_logger().info(
             f"plan {health.plan_id} ({reason}): {plan.summary()}; planned in {health.planning_s * 1e3:.1f} ms"
         )
-        if plan.interrupted:
+        if newly:
             self.get_logger().warning(
                 "interrupted on the way: "
-                + conversions.listed(f"device {name!r}: {why}" for name, why in plan.interrupted.items())
+                + conversions.listed(f"device {name!r}: {plan.interrupted[name]}" for name in sorted(newly))
             )
 
     def _warn_unserved(self, devices: Iterable[Device], plan: FleetPlan, before: FleetPlan | None) -> None:

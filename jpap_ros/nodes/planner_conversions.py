@@ -65,13 +65,17 @@ def aircraft_of(config: UavConfig, state: VehicleState | None, goal: FleetCell |
     else:
         position = config.home_m or (0.0, 0.0)
     if state is None:
-        return Aircraft(config.name, position)
+        return Aircraft(config.name, position, located=False)
+    unavailable = why_unavailable(state)
     return Aircraft(
         config.name,
         position,
         connected=state.link == VehicleState.LINK_CONNECTED,
         airborne=is_in_air(state),
-        unavailable=why_unavailable(state),
+        unavailable=unavailable,
+        # Whoever was taken over flies on as somebody else likes.
+        located=state.position_valid and not unavailable,
+        up_m=state.position.z if state.position_valid else None,
     )
 
 
@@ -138,6 +142,7 @@ def power_allocation(uav: str, cell: FleetCell | None, header: Header, plan_id: 
         message.device_ids = list(cell.device_ids)
         message.power_w = list(cell.power_w)
         message.rate = list(cell.rate)
+        message.apply_within_m = cell.apply_within_m
     return message
 
 

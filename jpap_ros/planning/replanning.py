@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from jpap_ros.planning.deployment import RELATIVE_TOLERANCE
 from jpap_ros.planning.link_budget import snr_demand
-from jpap_ros.planning.replanning_continuity import Continuity
+from jpap_ros.planning.replanning_continuity import Continuity, OnAir
 from jpap_ros.planning.replanning_position import Point, nearest_position
 from jpap_ros.planning.replanning_state import Demands, Limits, LiveCell, LivePlan
 from jpap_ros.planning.solver import servable_alone
@@ -44,7 +44,13 @@ class Change:
     interrupted: Mapping[str, str]
 
 
-def replan(present: LivePlan, demands: Demands, limits: Limits, lost_cells: Collection[int] = ()) -> Change:
+def replan(
+    present: LivePlan,
+    demands: Demands,
+    limits: Limits,
+    lost_cells: Collection[int] = (),
+    on_air: OnAir | None = None,
+) -> Change:
     """Fit the devices that there are now into the deployment in force, with the smallest change.
 
     Parameters
@@ -56,6 +62,8 @@ def replan(present: LivePlan, demands: Demands, limits: Limits, lost_cells: Coll
     limits : Limits
     lost_cells : collection of int
         Cells that have lost their aircraft and will get no other: their devices go to the neighbours.
+    on_air : OnAir, optional
+        What is transmitted now; if missing, every UAV is at its place in the plan in force.
 
     Returns
     -------
@@ -66,12 +74,14 @@ def replan(present: LivePlan, demands: Demands, limits: Limits, lost_cells: Coll
     -----
     A device whose position and demand are as before stays in its cell. One that changed stays if its cell can still
     serve it with the others. All that are without a cell then, by weight and then by demand, go to the cell that has
-    to move least for them, of equal ones the one nearest, without interrupting anybody's guaranteed rate on the way.
-    Where there is none, a new cell is opened; and where there is no UAV for that, a short interruption of others is
-    accepted, and reported. Powers are shared out anew wherever anything changed, so a departed device frees its own.
+    to move least for them, of equal ones the one nearest, without interrupting anybody's guaranteed rate on the way: if
+    there is such a cell, not their own either. Where there is none, a new cell is opened; and where there is no UAV for
+    that, a short interruption of others is accepted, and reported. Powers are shared out anew wherever anything
+    changed, so a departed device frees its own.
     """
     alive = _affordable([cell for cell in present.cells if cell.id not in lost_cells], demands, limits)
-    draft = _Draft(present, alive, demands, limits)
+    on_air = on_air or OnAir.at_goals(present, limits.link)
+    draft = _Draft(present, alive, demands, limits, Continuity(on_air, demands, limits.link))
     for cell in alive:
         rows = [demands.index[name] for name in cell.device_ids if name in demands.index]
         as_before = [k for k in rows if _unchanged(demands.ids[k], present.demands, demands)]
@@ -91,11 +101,12 @@ def replan(present: LivePlan, demands: Demands, limits: Limits, lost_cells: Coll
         if possible[k]:
             draft.serve(k, None)
     reasons = {demands.ids[k]: why for k, why in sorted(unserved.items())}
-    return compare(present, LivePlan(cells, demands, reasons, next_id, len(draft.members)), limits)
+    return compare(present, LivePlan(cells, demands, reasons, next_id, len(draft.members)), limits, on_air)
 
 
-def compare(present: LivePlan, plan: LivePlan, limits: Limits) -> Change:
-    """Say what a new plan changes against the one in force."""
+def compare(present: LivePlan, plan: LivePlan, limits: Limits, on_air: OnAir | None = None) -> Change:
+    """Say what a new plan changes against the one in force; `on_air` as for `replan`."""
+    on_air = on_air or OnAir.at_goals(present, limits.link)
     old = {cell.id: cell for cell in present.cells}
     new = {cell.id: cell for cell in plan.cells}
     return Change(
@@ -103,7 +114,7 @@ def compare(present: LivePlan, plan: LivePlan, limits: Limits) -> Change:
         touched=tuple(cell.id for cell in plan.cells if old.get(cell.id) != cell),
         ended=tuple(cell_id for cell_id in old if cell_id not in new),
         moved_m=math.fsum(math.dist(old[i].position, new[i].position) for i in old if i in new),
-        interrupted=Continuity(present, plan.demands, limits.link).broken_by_plan(plan),
+        interrupted=Continuity(on_air, plan.demands, limits.link).broken_by_plan(plan),
     )
 
 
@@ -130,12 +141,19 @@ def _unchanged(name: str, before: Demands, now: Demands) -> bool:
 class _Draft:
     """Cells in the making, with devices by row of the table."""
 
-    def __init__(self, present: LivePlan, alive: Sequence[LiveCell], demands: Demands, limits: Limits) -> None:
+    def __init__(
+        self,
+        present: LivePlan,
+        alive: Sequence[LiveCell],
+        demands: Demands,
+        limits: Limits,
+        continuity: Continuity,
+    ) -> None:
         self.demands = demands
         self.limits = limits
         self.next_id = present.next_id
         self.before = {cell.id: cell for cell in present.cells}
-        self.continuity = Continuity(present, demands, limits.link)
+        self.continuity = continuity
         self.members: dict[int, list[int]] = {}
         self.position: dict[int, Point] = {cell.id: cell.position for cell in alive}
         #: Farthest that a UAV can be from each device even if it has all the power [m], equation (5).
@@ -158,10 +176,12 @@ class _Draft:
 
     def serve(self, device: int, max_uavs: int | None) -> bool:
         """Find a place for a device with the least change: in a cell, in a new one, in one at others' expense."""
+        own = self.demands.ids[device]
         return (
-            self._join(device, interrupting=False)
+            self._join(device, interrupting=())
+            or (own in self.continuity.guaranteed and self._join(device, interrupting=(own,)))
             or self._open(device, max_uavs)
-            or self._join(device, interrupting=True)
+            or self._join(device, interrupting=self.continuity.guaranteed)
         )
 
     def refusal(self) -> str:
@@ -185,9 +205,9 @@ class _Draft:
     def _urgency(self, device: int) -> tuple[float, float, int]:
         return -float(self.demands.weights[device]), self.demands.snr_demand[device], device
 
-    def _join(self, device: int, *, interrupting: bool) -> bool:
-        """Put a device into the cell that moves least for it."""
-        target = self.demands.places[device]
+    def _join(self, device: int, interrupting: Collection[str]) -> bool:
+        """Put a device into the cell that moves least for it, where only some may be interrupted on the way."""
+        target, tolerated = self.demands.places[device], set(interrupting)
         best: tuple[float, float, int] | None = None
         goal = target
         for cell, here in sorted(self.position.items(), key=lambda item: math.dist(item[1], target)):
@@ -197,7 +217,7 @@ class _Draft:
             if there is None:
                 continue
             score = math.dist(here, there), math.dist(here, target), cell
-            if (best is None or score < best) and (interrupting or not self._interrupts(cell, device, there)):
+            if (best is None or score < best) and self._interrupted(cell, device, there) <= tolerated:
                 best, goal = score, there
         if best is None:
             return False
@@ -205,11 +225,12 @@ class _Draft:
         self.position[best[2]] = goal
         return True
 
-    def _interrupts(self, cell: int, device: int, there: Point) -> bool:
-        if cell not in self.before:
-            return False
-        broken = self.continuity.broken_by(self._cell(cell, [*self.members[cell], device], there))
-        return any(name != self.demands.ids[device] for name in broken)
+    def _interrupted(self, cell: int, device: int, there: Point) -> set[str]:
+        """Devices that are interrupted if a device joins a cell."""
+        if cell not in self.continuity.flying:
+            # Those that are in it wait for its UAV already.
+            return {self.demands.ids[device]} & self.continuity.guaranteed.keys()
+        return set(self.continuity.power_change(self._cell(cell, [*self.members[cell], device], there)).broken)
 
     def _open(self, device: int, max_uavs: int | None) -> bool:
         """Open a new cell over a device."""

@@ -12,6 +12,7 @@ from scipy.spatial.distance import cdist
 
 from jpap_ros.planning.deployment import Deployment
 from jpap_ros.planning.replanning import Change, compare
+from jpap_ros.planning.replanning_continuity import OnAir
 from jpap_ros.planning.replanning_state import Demands, Limits, LivePlan
 
 
@@ -82,6 +83,7 @@ def consider(
     limits: Limits,
     policy: ReplanningPolicy = ReplanningPolicy(),
     lost_cells: Collection[int] = (),
+    on_air: OnAir | None = None,
 ) -> Decision:
     """Weigh a plan made from scratch for the present devices against the plan in force.
 
@@ -96,6 +98,8 @@ def consider(
     policy : ReplanningPolicy
     lost_cells : collection of int
         Cells of the plan in force without an aircraft; none of the new cells takes over from them.
+    on_air : OnAir, optional
+        What is transmitted now; if missing, every UAV is at its place in the plan in force.
 
     Returns
     -------
@@ -107,7 +111,7 @@ def consider(
     return is not counted in metres, since where the aircraft stands is not known here, but by `launch_cost`.
     """
     plan = _adopt_ids(full, present, demands, lost_cells)
-    change = compare(present, plan, limits)
+    change = compare(present, plan, limits, on_air)
     saved = len(present.cells) - len(plan.cells)
     before, after = present.deployment(limits).average_uav_rate, full.average_uav_rate
     rate = after / before - 1 if present.cells and plan.cells else 0.0
