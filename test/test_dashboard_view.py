@@ -271,6 +271,7 @@ class TestEventLog:
             ("warning", "Plan 2 leaves out c: too far"),
             ("warning", "Plan 2 interrupts on the way: a"),
         ]
+        assert [level for level, _ in plan_lines(now, replace(now, id=3))] == ["info"]
 
     @pytest.mark.parametrize(
         ("now", "lines"),

@@ -59,8 +59,9 @@ def plan_lines(before: Plan | None, now: Plan) -> list[Line]:
     new = [f"{device}: {why}" for device, why in now.left_out.items() if known.get(device) != why]
     if new:
         lines.append((WARNING, f"Plan {now.id} leaves out {_listed(new)}"))
-    if now.interrupted:
-        lines.append((WARNING, f"Plan {now.id} interrupts on the way: {_listed(now.interrupted)}"))
+    interrupted = [device for device in now.interrupted if before is None or device not in before.interrupted]
+    if interrupted:
+        lines.append((WARNING, f"Plan {now.id} interrupts on the way: {_listed(interrupted)}"))
     return lines
 
 
