@@ -21,6 +21,7 @@ import numpy as np
 
 from jpap_ros.fleet.availability import FleetLife, FleetPolicy, Link, Order, Roster, Station, Vehicle
 from jpap_ros.fleet.cells import Aircraft, FleetPlan
+from jpap_ros.fleet.handover import handed_over
 from jpap_ros.fleet.plan import PlanSettings, full_deployment, plan_change, plan_from_scratch, weigh, with_crew
 from jpap_ros.fleet.tower import Tower, Turn
 from jpap_ros.fleet.traffic import TrafficControl, Traveller
@@ -90,9 +91,11 @@ class Craft:
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     pilot_until: float = -math.inf
     flown_m: float = 0.0
-    #: Powers by device that it transmits with, and those it changes to as soon as that serves as many [W].
+    #: Powers by device that it transmits with, and those it changes to within a distance of its goal [W, m].
     powers: dict[str, float] = field(default_factory=dict)
     wanted: dict[str, float] = field(default_factory=dict)
+    goal: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    apply_within_m: float = 0.0
 
     def __post_init__(self) -> None:
         self.heard_place = self.place
@@ -178,6 +181,8 @@ class World:
         self.tower = Tower(self.traffic, TAKEOFF_HEIGHT_M, LIMITS.max_altitude_m)
         self.life = FleetLife(POLICY)
         self.plan: FleetPlan | None = None
+        #: What the aircraft were last told.
+        self.published: FleetPlan | None = None
         self.roster: Roster | None = None
         self.planned_for = 0
         self.latency_s: list[float] = []
@@ -238,7 +243,15 @@ class World:
         assert self.roster is not None
         usable = {*self.roster.crew.values(), *self.roster.free}
         return [
-            Aircraft(c.name, c.place[:2], True, c.in_air, "" if c.name in usable else "cannot be given a cell now")
+            Aircraft(
+                c.name,
+                c.place[:2],
+                c.connected(self.now),
+                c.in_air,
+                "" if c.name in usable else "cannot be given a cell now",
+                located=c.obeys(self.now),
+                up_m=c.place[2],
+            )
             for c in self.fleet.values()
         ]
 
@@ -263,7 +276,6 @@ class World:
             self._put_in_force(weighed.plan)
 
     def _put_in_force(self, plan: FleetPlan) -> None:
-        self.interrupted += len(plan.interrupted)
         self.plan = plan
         self.keep_fleet()
 
@@ -278,12 +290,18 @@ class World:
             self._order(self.fleet[action.uav], action.order)
         if self.plan is None:
             return False
-        self.plan = with_crew(self.plan, self.roster.crew)
-        crew = {name: cell for cell, name in self.roster.crew.items()}
-        powers = {cell.id: dict(zip(cell.device_ids, cell.power_w, strict=True)) for cell in cells}
+        before = self.published
+        crewed = with_crew(self.plan, self.roster.crew)
+        self.plan = self.published = handed_over(before, crewed, self._aircraft(), SETTINGS.link)
+        self.interrupted += len(self.plan.interrupted.keys() - (before.interrupted if before is not None else {}))
+        of_uav = {cell.uav: cell for cell in self.plan.cells}
         for craft in self.fleet.values():
-            if craft.hears(self.now):
-                craft.wanted = powers[crew[craft.name]] if craft.name in crew else {}
+            if not craft.hears(self.now):
+                continue
+            craft.wanted, craft.apply_within_m = {}, 0.0
+            if (cell := of_uav.get(craft.name)) is not None:
+                craft.wanted = dict(zip(cell.device_ids, cell.power_w, strict=True))
+                craft.goal, craft.apply_within_m = (*cell.position, SETTINGS.link.altitude_m), cell.apply_within_m
         needed, usable = self.plan.uavs_needed, self.roster.usable
         return usable != self.planned_for and (needed > len(cells) or usable < len(cells))
 
@@ -393,10 +411,9 @@ class World:
             if not craft.in_air:
                 craft.powers = {}
                 continue
-            fed, would = self._fed(craft, craft.powers), self._fed(craft, craft.wanted)
-            if craft.powers != craft.wanted and len(would) >= len(fed):
-                craft.powers, fed = craft.wanted, would
-            served |= fed
+            if craft.apply_within_m == 0 or math.dist(craft.place, craft.goal) <= craft.apply_within_m:
+                craft.powers = craft.wanted
+            served |= self._fed(craft)
         for name, device in self.devices.items():
             if self.told.get(name) is not device:
                 self.told[name] = self.fresh[name] = device
@@ -407,10 +424,10 @@ class World:
             self.served_s[name] = self.served_s.get(name, 0.0) + STEP_S * (name in served)
         self.uavs_s.append(sum(craft.in_air for craft in self.fleet.values()))
 
-    def _fed(self, craft: Craft, powers: dict[str, float]) -> set[str]:
+    def _fed(self, craft: Craft) -> set[str]:
         """Devices whose demand an aircraft meets from where it is, equation (3)."""
         found = set()
-        for name, power in powers.items():
+        for name, power in craft.powers.items():
             if (device := self.devices.get(name)) is not None:
                 distance2 = math.dist(craft.place, (*device.position, 0.0)) ** 2
                 if math.log2(1 + power * GAIN_OVER_NOISE / distance2) >= device.rate_demand - 1e-6:
