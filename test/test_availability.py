@@ -354,15 +354,6 @@ def test_a_cell_far_away_is_never_left_at_the_critical_battery():
     assert min(vehicle.battery for vehicle in world.vehicles.values()) > 0.0
 
 
-def test_a_relief_s_cells_are_named_in_the_step_in_which_it_takes_over():
-    life = FleetLife(POLICY, crew={1: "a"})
-    waiting = (0.0, 0.0, 50.0 + POLICY.station_above_m)
-    fleet = [flying("a", battery=0.3), flying("b", waiting)]
-    assert life.step(0.0, fleet, {1: Station(HERE)}).relieved == ()
-    assert life.step(1.0, fleet, {1: Station(HERE)}).relieved == (1,)
-    assert life.step(2.0, fleet, {1: Station(HERE)}).relieved == ()
-
-
 def test_one_that_would_soon_be_tired_itself_relieves_nobody():
     life = FleetLife(POLICY, crew={1: "a"})
     near = flying("b", (20.0, 0.0, 50.0), battery=POLICY.ready_battery - 0.01)

@@ -152,8 +152,6 @@ class Roster:
         Where each aircraft of the two should be, (east, north, up) [m].
     actions : tuple of Action
         What to command now.
-    relieved : tuple of int
-        Cells that a relief has taken over now, from where it waited.
     uncrewed : tuple of int
         Cells for which there is no aircraft: their devices have to go to the neighbours.
     usable : int
@@ -172,7 +170,6 @@ class Roster:
     reliefs: Mapping[int, str]
     goals: Mapping[str, tuple[float, float, float]]
     actions: tuple[Action, ...]
-    relieved: tuple[int, ...]
     uncrewed: tuple[int, ...]
     usable: int
     free: tuple[str, ...]
@@ -237,7 +234,7 @@ class FleetLife:
         self._observe(now_s, fleet, stations)
         self._dismiss(now_s, fleet, stations)
         self._take_back(now_s, fleet, stations)
-        relieved = self._hand_over(fleet, stations)
+        self._hand_over(fleet, stations)
         free = [vehicle for vehicle in vehicles if self._is_free(now_s, vehicle)]
         self._fill(free, stations)
         free = [vehicle for vehicle in free if vehicle.name not in self._crew.values()]
@@ -250,7 +247,6 @@ class FleetLife:
             reliefs=dict(self._reliefs),
             goals=goals,
             actions=self._actions(now_s, fleet),
-            relieved=relieved,
             uncrewed=tuple(cell for cell in stations if cell not in self._crew),
             usable=len(self._crew) + len(free),
             free=tuple(vehicle.name for vehicle in free),
@@ -374,17 +370,14 @@ class FleetLife:
                     if heir is not None and name in self._tired:
                         self._reliefs[cell] = heir
 
-    def _hand_over(self, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> tuple[int, ...]:
-        """Change the roles of a tired aircraft and its relief once that one is in place; return the cells concerned."""
-        relieved = []
+    def _hand_over(self, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> None:
+        """Change the roles of a tired aircraft and its relief once that one is in place."""
         for cell, relief in list(self._reliefs.items()):
             if self._crew[cell] not in self._tired:
                 del self._reliefs[cell]
             elif self._is_at(fleet[relief], self._waiting_place(stations[cell])):
                 self._events.append(f"{relief} relieves {self._crew[cell]}")
                 self._crew[cell] = self._reliefs.pop(cell)
-                relieved.append(cell)
-        return tuple(relieved)
 
     def _is_at(self, vehicle: Vehicle, place: tuple[float, float, float]) -> bool:
         if vehicle.position is None or not vehicle.in_air or vehicle.busy or not _obeys(vehicle):

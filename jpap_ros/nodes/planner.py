@@ -33,7 +33,6 @@ from jpap_ros.fleet.events import AircraftWatch, Events
 from jpap_ros.fleet.handover import handed_over
 from jpap_ros.fleet.plan import SLOW_SCHEMES, PlanSettings, Weighed, with_crew
 from jpap_ros.fleet.plan_store import PlanStoreError, StoredPlan, load_plan, save_plan
-from jpap_ros.fleet.relief import short_from_above
 from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.nodes import planner_conversions as conversions
@@ -110,8 +109,6 @@ class PlannerNode(ManagedNode):
         self._backlog = Backlog()
         self._keeper: FleetKeeper | None = None
         self._roster: Roster | None = None
-        #: Cells that a relief has taken over since the last plan.
-        self._relieved: set[int] = set()
         self._bridge = BridgeWatch(time.monotonic())
         #: What the state file says, to keep it up to date between two plans.
         self._stored: tuple[Sequence[Device], PlanSettings, frozenset[str]] | None = None
@@ -244,7 +241,6 @@ class PlannerNode(ManagedNode):
         self._states.clear()
         self._health = PlannerHealth(plan_id=self._health.plan_id)
         self._weighed = self._planned_with = self._restored = self._stored = None
-        self._relieved.clear()
 
     def destroy_node(self) -> None:
         """Stop planning and leave the graph."""
@@ -328,7 +324,6 @@ class PlannerNode(ManagedNode):
         altitude_m = self._settings["altitude_m"]
         now_s = self._bridge.clock(time.monotonic())
         self._roster = self._keeper.step(now_s, self._states, plan, self._intake.devices, altitude_m)
-        self._relieved.update(self._roster.relieved)
         return self._roster
 
     def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -538,17 +533,13 @@ class PlannerNode(ManagedNode):
         health = self._health
         health.plan_id += 1
         reliefs = {}
-        short: dict[str, str] = {}
         if self._keeper is not None:
             roster = self._keep_fleet(plan)
             plan = with_crew(plan, roster.crew)
             reliefs = {name: roster.goals[name] for name in roster.reliefs.values()}
-            short = short_from_above(plan, self._relieved, settings.link, self._settings["station_above_m"])
-            self._relieved.clear()
             reason = ", ".join([reason, *(event for event in roster.events if event not in reason)])
         # Against what the radios were last told, for who flies now and from where.
         plan = handed_over(health.plan, plan, self._all_aircraft(), settings.link)
-        plan = replace(plan, interrupted={**plan.interrupted, **short})
         newly = plan.interrupted.keys() - (health.plan.interrupted if health.plan is not None else {})
         # What anybody was told must survive a kill.
         self._store(plan, devices, settings)
