@@ -677,6 +677,26 @@ def test_a_quick_plan_is_followed_by_the_proven_one(planner):
     assert answer.success and f"{len(proven.cells)} UAVs serve 24 devices" in answer.message
 
 
+def test_a_plan_from_scratch_that_comes_late_is_brought_up_to_date(planner):
+    """While a device moves more often than the solver answers, every answer is for what is no more."""
+    node = planner(scheme="optimal", reoptimise=True, time_limit_s=2.0, uavs=40)
+    rng = np.random.default_rng(1)
+    field = {f"d{k}": (*rng.uniform(0, 1500, 2), rng.uniform(13, 18)) for k in range(60)}
+    node.send(field)
+    first = node.plan("60 devices joined")
+
+    def better():
+        x, y, rate = field["d0"]
+        field["d0"] = (x + 1.0, y, rate)
+        node.send({"d0": field["d0"]})
+        node.graph.spin(0.3)
+        return any("plan from scratch" in plan.reason for plan in node.deployments)
+
+    node.graph.wait(better, "a plan from scratch, though a device moves three times a second")
+    assert len(node.last.cells) < len(first.cells)
+    assert {name for cell in node.last.cells for name in cell.device_ids} == set(field)
+
+
 def test_a_plan_is_proven_again_after_an_event_that_asks_for_nothing_new(planner, graph):
     """An aircraft that joins was counted on before, so that a plan from scratch has the same task."""
     node = planner(scheme="optimal", uavs=3, reoptimise=True)

@@ -117,6 +117,19 @@ def full_deployment(devices: Sequence[Device], settings: PlanSettings, uavs: int
     )
 
 
+def brought_up_to_date(
+    full: Deployment, made_for: Sequence[Device], devices: Sequence[Device], settings: PlanSettings, uavs: int
+) -> Deployment:
+    """Return a plan from scratch, made for devices as they were, with the smallest change for those there are now.
+
+    Without its proof, which was for the others.
+    """
+    limits = settings.limits(uavs)
+    return replan(LivePlan.of(full, settings.demands(made_for)), settings.demands(devices), limits).plan.deployment(
+        limits
+    )
+
+
 def plan_change(
     devices: Sequence[Device], settings: PlanSettings, aircraft: Sequence[Aircraft], present: FleetPlan
 ) -> FleetPlan:

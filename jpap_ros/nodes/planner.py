@@ -55,6 +55,7 @@ from jpap_ros.nodes.planner_parameters import (
 from jpap_ros.nodes.process import run
 from jpap_ros.nodes.qos import DEVICES, LATCHED
 from jpap_ros.nodes.worker import Worker
+from jpap_ros.planning import Deployment
 from jpap_ros.planning.devices import Changes, Device
 
 #: How often the fleet's life is looked after [s].
@@ -99,6 +100,8 @@ class PlannerNode(ManagedNode):
         self._in_work: EventJob | WeighJob | None = None
         self._overdue = False
         self._solving = False
+        #: A plan from scratch that waits to be weighed, and what it was made for.
+        self._solved: tuple[Request, Deployment] | None = None
         #: What the plan in force was weighed for against a plan from scratch; a later change of it was not.
         self._weighed: Request | None = None
         self._planned_with: PlanSettings | None = None
@@ -240,7 +243,7 @@ class PlannerNode(ManagedNode):
         self._events, self._early = Events(), Events()
         self._states.clear()
         self._health = PlannerHealth(plan_id=self._health.plan_id)
-        self._weighed = self._planned_with = self._restored = self._stored = None
+        self._weighed = self._planned_with = self._restored = self._stored = self._solved = None
 
     def destroy_node(self) -> None:
         """Stop planning and leave the graph."""
@@ -466,12 +469,15 @@ class PlannerNode(ManagedNode):
 
     def _reoptimise(self) -> None:
         """Have a plan made from scratch for what the plan in force was made for, unless that was done."""
-        busy = self._solving or self._in_work is not None or bool(self._events)
-        if self._solver is None or self._health.plan is None or busy:
-            return
-        if not self._settings["reoptimise"] and not self._asked:
+        if self._solver is None or self._health.plan is None or self._in_work is not None or self._events:
             return
         request = self._request()
+        if self._solved is not None and self._solved[0].settings == request.settings:
+            self._weigh(*self._solved, request)
+            return
+        self._solved = None
+        if self._solving or not (self._settings["reoptimise"] or self._asked):
+            return
         if request != self._weighed:
             self._solving = True
             self._solver.submit(request)
@@ -485,26 +491,34 @@ class PlannerNode(ManagedNode):
             self.get_logger().error(f"no plan from scratch: {full}")
             self._weighed = request
             self._tell_asked(False, f"no plan from scratch: {full}")
-        elif self._events or self._in_work is not None or request != self._request():
-            # Out of date: what is being planned now comes first, and then the next one from scratch.
-            self._reoptimise()
         else:
-            assert self._worker is not None and self._health.plan is not None
-            self._in_work = WeighJob(
-                full=full,
-                request=request,
-                aircraft=self._all_aircraft(),
-                present=self._health.plan,
-                policy=replanning_policy(self._settings),
-                started_s=time.monotonic(),
-            )
-            self._worker.submit(self._in_work)
+            # What is being planned now comes first.
+            self._solved = request, full
+            self._reoptimise()
+
+    def _weigh(self, made_for: Request, full: Deployment, request: Request) -> None:
+        assert self._worker is not None and self._health.plan is not None
+        self._solved = None
+        self._in_work = WeighJob(
+            full=full,
+            made_for=made_for,
+            request=request,
+            aircraft=self._all_aircraft(),
+            present=self._health.plan,
+            policy=replanning_policy(self._settings),
+            started_s=time.monotonic(),
+        )
+        self._worker.submit(self._in_work)
 
     def _after_weighing(self, job: WeighJob, result: tuple[FleetPlan, str] | Weighed | Exception) -> None:
-        self._weighed = job.request
+        if not job.late:
+            self._weighed = job.request
         if not isinstance(result, Weighed):
             self.get_logger().error(f"no plan from scratch: {result!r}")
             self._tell_asked(False, f"no plan from scratch: {result!r}")
+            return
+        if job.late and not result.adopted:
+            # It says nothing of what is asked for now; the next one will.
             return
         proven = (result.plan.min_uavs_bound, result.plan.proven_optimal)
         news = proven != (job.present.min_uavs_bound, job.present.proven_optimal)
@@ -589,7 +603,7 @@ class PlannerNode(ManagedNode):
         if self._solver is not None:
             self._solver.close()
             self._solver = None
-        self._solving = False
+        self._solving, self._solved = False, None
         self._tell([*self._waiting, *self._asked], False, "the planner was deactivated")
         self._waiting, self._asked = [], []
 

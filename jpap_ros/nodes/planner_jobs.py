@@ -12,6 +12,7 @@ from jpap_ros.fleet.plan import (
     SLOW_SCHEMES,
     PlanSettings,
     Weighed,
+    brought_up_to_date,
     full_deployment,
     plan_change,
     plan_from_scratch,
@@ -81,15 +82,36 @@ class EventJob:
 
 @dataclass(frozen=True, eq=False)
 class WeighJob:
-    """Weigh a plan from scratch, made by the solver's process, against the plan in force."""
+    """Weigh a plan from scratch, made by the solver's process, against the plan in force.
+
+    Attributes
+    ----------
+    full : Deployment
+        The plan from scratch.
+    made_for : Request
+        What it was made for.
+    request : Request
+        What it would be made for now.
+    aircraft, present, policy, started_s
+        As for an EventJob.
+    """
 
     full: Deployment
+    made_for: Request
     request: Request
     aircraft: tuple[Aircraft, ...]
     present: FleetPlan
     policy: ReplanningPolicy
     started_s: float
 
+    @property
+    def late(self) -> bool:
+        """Whether something has happened since the plan from scratch was asked for."""
+        return self.made_for != self.request
+
     def run(self) -> Weighed:
         """Return the better plan."""
-        return weigh(self.full, self.request.devices, self.request.settings, self.aircraft, self.present, self.policy)
+        now, full = self.request, self.full
+        if self.late:
+            full = brought_up_to_date(full, self.made_for.devices, now.devices, now.settings, now.uavs)
+        return weigh(full, now.devices, now.settings, self.aircraft, self.present, self.policy)
