@@ -420,6 +420,11 @@ class Aircraft:
         """Ask for messages at other rates [Hz], by message id."""
         self._streams.want(rates_hz)
 
+    def want_telemetry_anew(self, rates_hz: Mapping[int, float]) -> None:
+        """Ask for all messages, at these rates [Hz]: nothing is known of what comes over the link used from now on."""
+        self._streams.want(rates_hz)
+        self._streams.restart()
+
     def _look_at_mode(self) -> None:
         if self.authority.observe(self.mode, self.vehicle.armed, self.now):
             self._yield()

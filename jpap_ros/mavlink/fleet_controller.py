@@ -534,7 +534,7 @@ class FleetController:
         before = member.route
         member.route = None if member.aircraft.duplicates else member.sightings.route(now)
         if before is not None and member.route is not None and before[0] is not member.route[0]:
-            member.aircraft.want_telemetry(self._rates[member.route[0]].rates_hz(member.aircraft.autopilot))
+            member.aircraft.want_telemetry_anew(self._rates[member.route[0]].rates_hz(member.aircraft.autopilot))
 
     def _contest(self, member: _Member, now: float) -> str:
         """Why several vehicles seem to have a member's system id, and what to do; empty in good order."""

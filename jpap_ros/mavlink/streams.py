@@ -83,8 +83,11 @@ class StreamRequests:
         self._done_at = -math.inf
 
     def restart(self) -> None:
-        """Ask for everything: the vehicle is new, came back, or rebooted."""
+        """Ask for everything: the vehicle is new, came back, rebooted, or is reached over another link."""
         self._wanted = deque(self._rates_hz)
+        if self._asked is not None:
+            # Else the first question would wait for the answer to one that nobody hears.
+            self._commands.withdraw(self._asked[2])
         self._asked = None
         self._not_before = -math.inf
         self._home_not_before = -math.inf

@@ -142,7 +142,7 @@ def _with_enumeration(
         fleet = better
         yield fleet
     if len(fleet.cells) > _MANY_GROUPS * GROUP:
-        groups_until = time.monotonic() + 0.35 * (deadline - time.monotonic())
+        groups_until = time.monotonic() + 0.5 * (deadline - time.monotonic())
         for cells in fewer_by_groups(servability, matrix, fleet.cells, fleet.bound, groups_until, seed):
             fleet = Fleet(cells, fleet.bound)
             yield fleet
