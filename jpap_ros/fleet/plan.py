@@ -140,6 +140,7 @@ def plan_change(
     devices : sequence of Device
         Validated by the device table.
     settings : PlanSettings
+        Those that the plan in force was made with.
     aircraft : sequence of Aircraft
         The whole fleet; those that are unavailable get no cell.
     present : FleetPlan
@@ -153,7 +154,7 @@ def plan_change(
     available = [craft for craft in aircraft if craft.available]
     demands, limits = settings.demands(devices), settings.limits(len(available))
     now = on_air(present, aircraft, settings.link, present.names)
-    live = replan(present.live, demands, limits, _lost_cells(present, available, demands), now).plan
+    live = replan(present.live, demands, limits, _lost_cells(present, available, demands), now, same_powers=True).plan
     return handed_over(present, named_plan(live, settings, available, present.names), aircraft, settings.link)
 
 

@@ -173,6 +173,9 @@ class FleetController:
         self._tick_s = 1.0 / max(TICK_HZ, settings.aircraft.setpoint_rate_hz)
         self._traffic_at = math.inf
         self._gathering_since: float | None = None
+        #: Set unless new goals are waiting for traffic control: by another thread to be looked at, or waited for.
+        self.directed = threading.Event()
+        self.directed.set()
         self._clock_rate = 1.0
         try:
             links = open_links(self._hub, config)
@@ -324,6 +327,7 @@ class FleetController:
         elif goal is before or (goal is not None and goal.same_place(before)):
             self._tell(member)
         else:
+            self.directed.clear()
             since = self._gathering_since = now if self._gathering_since is None else self._gathering_since
             self._traffic_at = min(now + GATHER_S, since + GATHER_MOST_S)
 
@@ -406,6 +410,7 @@ class FleetController:
         if self._traffic is not None and now >= self._traffic_at:
             self._traffic_at, self._gathering_since = now + self._tick_s, None
             self._direct(self._traffic, now)
+            self.directed.set()
         if now < self._tick_due_at:
             return
         for member in self._members.values():

@@ -43,6 +43,10 @@ from jpap_ros.nodes.qos import LATCHED, SENSOR_DATA
 _Outcomes = dict[str, "Outcome[OrderResult]"]
 
 
+#: Longest time that telling what aircraft do waits for new targets to be on their way [s].
+_DIRECTED_PATIENCE_S = 0.05
+
+
 class BridgeNode(Node):
     """Hands goals and orders down to the fleet controller's thread, and its snapshots up to topics.
 
@@ -95,8 +99,10 @@ class BridgeNode(Node):
         self._succession = Succession(settings["state_file"], self.get_logger())
         self._succession.take_over(self._controller)
 
-        for name in self._names:
-            self.create_subscription(PoseStamped, f"{name}/goal_pose", partial(self._on_goal, name), LATCHED)
+        self._goals_in = {
+            name: self.create_subscription(PoseStamped, f"{name}/goal_pose", partial(self._on_goal, name), LATCHED)
+            for name in self._names
+        }
         self.create_subscription(Deployment, "deployment", self._on_deployment, LATCHED)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         # An answer waits for aircraft: in a group of its own it holds up nothing else, not even the next order.
@@ -148,6 +154,7 @@ class BridgeNode(Node):
         self._book.put_plan((stamp.sec, stamp.nanosec), message.plan_id, [cell.uav for cell in message.cells])
         for name in self._names:
             self._follow_book(name)
+        self._take_goals()
         new, self._plan_id = message.plan_id != self._plan_id, message.plan_id
         if new and self._announce_plans:
             for cell in message.cells:
@@ -158,6 +165,13 @@ class BridgeNode(Node):
                     self._controller.announce(cell.uav, f"Plan {message.plan_id}: {devices} devices, {where}")
         if self._plan_dir is not None:
             self._write_plan(self._plan_dir, message)
+
+    def _take_goals(self) -> None:
+        """Take the goals that came right behind a deployment: the executor's next round begins milliseconds later."""
+        for name, subscription in self._goals_in.items():
+            with subscription.handle:
+                while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+                    self._on_goal(name, taken[0])
 
     def _look_for_planner(self, stamp: Stamp) -> None:
         """What was said just now shows that the planner lives; a latched message may be of one that hangs."""
@@ -235,8 +249,11 @@ class BridgeNode(Node):
             self._wake.trigger()
 
     def _on_wake(self) -> None:
-        if self._controller is not None and self._controller.failure is not None:
-            raise self._controller.failure
+        if self._controller is not None:
+            if self._controller.failure is not None:
+                raise self._controller.failure
+            # Telling can wait for the aircraft's targets, with which it would share the interpreter.
+            self._controller.directed.wait(_DIRECTED_PATIENCE_S)
         while self._fresh:
             name, snapshot = self._fresh.popitem()
             before = self._snapshots.get(name)

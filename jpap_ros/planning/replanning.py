@@ -50,6 +50,7 @@ def replan(
     limits: Limits,
     lost_cells: Collection[int] = (),
     on_air: OnAir | None = None,
+    same_powers: bool = False,
 ) -> Change:
     """Fit the devices that there are now into the deployment in force, with the smallest change.
 
@@ -64,6 +65,8 @@ def replan(
         Cells that have lost their aircraft and will get no other: their devices go to the neighbours.
     on_air : OnAir, optional
         What is transmitted now; if missing, every UAV is at its place in the plan in force.
+    same_powers : bool
+        The plan in force was made with the same link and power rule: a cell that nothing happened to has its powers.
 
     Returns
     -------
@@ -96,17 +99,22 @@ def replan(
             )
         elif not draft.serve(k, limits.max_uavs):
             unserved[k] = draft.refusal()
-    cells, next_id = draft.cells(), draft.next_id
+    cells, next_id = draft.cells(same_powers), draft.next_id
     for k in unserved:
         if possible[k]:
             draft.serve(k, None)
     reasons = {demands.ids[k]: why for k, why in sorted(unserved.items())}
-    return compare(present, LivePlan(cells, demands, reasons, next_id, len(draft.members)), limits, on_air)
+    return _compare(present, LivePlan(cells, demands, reasons, next_id, len(draft.members)), draft.continuity)
 
 
 def compare(present: LivePlan, plan: LivePlan, limits: Limits, on_air: OnAir | None = None) -> Change:
     """Say what a new plan changes against the one in force; `on_air` as for `replan`."""
-    on_air = on_air or OnAir.at_goals(present, limits.link)
+    return _compare(
+        present, plan, Continuity(on_air or OnAir.at_goals(present, limits.link), plan.demands, limits.link)
+    )
+
+
+def _compare(present: LivePlan, plan: LivePlan, continuity: Continuity) -> Change:
     old = {cell.id: cell for cell in present.cells}
     new = {cell.id: cell for cell in plan.cells}
     return Change(
@@ -114,7 +122,7 @@ def compare(present: LivePlan, plan: LivePlan, limits: Limits, on_air: OnAir | N
         touched=tuple(cell.id for cell in plan.cells if old.get(cell.id) != cell),
         ended=tuple(cell_id for cell_id in old if cell_id not in new),
         moved_m=math.fsum(math.dist(old[i].position, new[i].position) for i in old if i in new),
-        interrupted=Continuity(on_air, plan.demands, limits.link).broken_by_plan(plan),
+        interrupted=continuity.broken_by_plan(plan),
     )
 
 
@@ -156,12 +164,16 @@ class _Draft:
         self.continuity = continuity
         self.members: dict[int, list[int]] = {}
         self.position: dict[int, Point] = {cell.id: cell.position for cell in alive}
+        #: Cells all of whose devices are there and as they were.
+        self.intact: set[int] = set()
         #: Farthest that a UAV can be from each device even if it has all the power [m], equation (5).
         self.reach_m = limits.link.coverage_radius(limits.link.transmit_power_w, demands.rates).tolist()
 
     def keep(self, cell: LiveCell, as_before: list[int], changed: list[int]) -> None:
         """Take over a cell with as many of its devices as it can still serve."""
         self.members[cell.id] = []
+        if len(as_before) == len(cell.device_ids):
+            self.intact.add(cell.id)
         # All at once first, since that is what nearly always holds; else one by one, those of old before the changed.
         if not self._take(cell.id, as_before + changed):
             for k in [*sorted(as_before, key=self._urgency), *sorted(changed, key=self._urgency)]:
@@ -194,11 +206,16 @@ class _Draft:
             f" {self.limits.min_separation_m:g} m from the others"
         )
 
-    def cells(self) -> tuple[LiveCell, ...]:
+    def cells(self, same_powers: bool) -> tuple[LiveCell, ...]:
         """All cells with their powers; one that nothing happened to is as it was."""
         result = []
         for cell_id, members in self.members.items():
-            cell, kept = self._cell(cell_id, sorted(members), self.position[cell_id]), self.before.get(cell_id)
+            kept, position = self.before.get(cell_id), self.position[cell_id]
+            untouched = kept is not None and len(members) == len(kept.device_ids) and position == kept.position
+            if same_powers and kept is not None and untouched and cell_id in self.intact:
+                result.append(kept)
+                continue
+            cell = self._cell(cell_id, sorted(members), position)
             result.append(kept if kept is not None and _same(kept, cell) else cell)
         return tuple(result)
 
