@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import selectors
 import socket
+import struct
 import sys
 import tempfile
 import threading
@@ -35,6 +36,8 @@ from jpap_ros.planning import LinkBudget
 
 SET_POSITION_TARGET_GLOBAL_INT = 86
 SIDE_M = 1500.0
+#: Linux: have the kernel say when a datagram came, as a timespec.
+SO_TIMESTAMPNS = 35
 #: Setpoints leave at 5 Hz or more.
 QUIET_S = 0.5
 DEMANDS = 12.0, 17.0  # bit/s/Hz
@@ -53,6 +56,7 @@ class Relay(threading.Thread):
             near.bind(("127.0.0.1", aircraft_port))
             far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             far.connect(("127.0.0.1", bridge_port))
+            far.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
             ends = {"near": near, "far": far, "aircraft": None, "id": bridge_port}
             self._selector.register(near, selectors.EVENT_READ, (ends, True))
             self._selector.register(far, selectors.EVENT_READ, (ends, False))
@@ -63,17 +67,17 @@ class Relay(threading.Thread):
             for key, _ in self._selector.select():
                 ends, from_aircraft = key.data
                 try:
-                    data, source = key.fileobj.recvfrom(65536)
+                    data, notes, _, source = key.fileobj.recvmsg(65536, 64)
                     if from_aircraft:
                         ends["aircraft"] = source
                         ends["far"].send(data)
                     elif ends["aircraft"]:
-                        self._note(ends["id"], data)
+                        self._note(ends["id"], data, _came_at(notes))
                         ends["near"].sendto(data, ends["aircraft"])
                 except ConnectionRefusedError:
                     pass  # the bridge is not up yet
 
-    def _note(self, vehicle: int, data: bytes) -> None:
+    def _note(self, vehicle: int, data: bytes, came_at: float) -> None:
         # A MAVLink 2 frame: magic, length, 2 flags, sequence, 2 ids, 3 bytes of message id, payload, checksum.
         at = 0
         while at + 12 <= len(data) and data[at] == 0xFD:
@@ -82,7 +86,7 @@ class Relay(threading.Thread):
                 target = data[at + 14 : at + 10 + length]  # all but time_boot_ms: place, velocity, type mask
                 if self._targets.get(vehicle) != target:
                     self._targets[vehicle] = target
-                    self.changes.setdefault(vehicle, []).append(time.monotonic())
+                    self.changes.setdefault(vehicle, []).append(came_at)
             at += 12 + length + (13 if data[at + 2] & 1 else 0)
 
     def changed(self, vehicle: int, after: float) -> float | None:
@@ -92,6 +96,13 @@ class Relay(threading.Thread):
     def quiet(self) -> bool:
         """Whether nobody's target has changed for a while: all hover."""
         return time.monotonic() > max((at[-1] for at in self.changes.values()), default=0.0) + QUIET_S
+
+
+def _came_at(notes: list[tuple[int, int, bytes]]) -> float:
+    """When the kernel got a datagram, on the monotonic clock: this process may have had something else to do."""
+    (stamp,) = (data for _, kind, data in notes if kind == SO_TIMESTAMPNS)
+    seconds, nanoseconds = struct.unpack("qq", stamp)
+    return seconds + 1e-9 * nanoseconds - time.time() + time.monotonic()
 
 
 class Watch:

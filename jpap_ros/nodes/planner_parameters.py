@@ -41,7 +41,7 @@ def planner_parameters() -> tuple[Param, ...]:
         Param("time_limit_s", 10.0, "Longest time for one plan; 0: no limit [s]", 0.0, 3600.0),
         Param(
             "debounce_s",
-            0.005,
+            0.002,
             "Quiet time after an event before planning: a burst makes one plan [s]",
             0.0,
             60.0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable, Sequence
 
@@ -45,6 +46,9 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         if unknown := remove_ros_args(command)[1:]:
             return _fail(2, f"unknown argument {unknown[0]!r}; parameters follow --ros-args, e.g. -p name:=value")
         node = make_node()
+        # All that is there now stays: looking through it again for garbage would hold everything up for tens of ms.
+        gc.collect()
+        gc.freeze()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         executor.spin()
