@@ -127,6 +127,9 @@ class World:
     def served(self):
         """Bring both devices on the air: the crew is launched and at its goals."""
         self.wait(lambda: all(s.get_subscription_count() for s in self.bridge._out.values()), "the planner's ears")
+        # It may have heard what the states were before the test set them: by the second round it has heard these.
+        heard = self.bridge.rounds + 2
+        self.wait(lambda: self.bridge.rounds >= heard, "two rounds of reports")
         self.send(DEVICES_AT)
         self.wait(lambda: self.crew().keys() == DEVICES_AT.keys(), "a crew for both cells")
         self.wait(lambda: set(self.bridge.ordered("launch")) == set(self.crew().values()), "their launch")
