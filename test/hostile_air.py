@@ -19,13 +19,10 @@ be told from a pilot who takes over. Such frames may make the bridge do less (yi
 from __future__ import annotations
 
 import random
-import selectors
-import socket
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +30,7 @@ from typing import Any
 from fleet_rig import Rig, order
 from mavlink_frames import frame_v2, heartbeat, signature_block
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from udp_wire import UdpWire
 
 from jpap_ros.fleet.config import LinkUrl
 from jpap_ros.mavlink.aircraft import AircraftSettings
@@ -63,7 +61,7 @@ FLOWN = {GoalState.SENT, GoalState.ACCEPTED, GoalState.EN_ROUTE, GoalState.REACH
 TARGET = "SET_POSITION_TARGET_GLOBAL_INT"
 
 
-class Tap:
+class Tap(UdpWire):
     """Passes on and keeps what goes between an aircraft and the bridge, and sends frames in the aircraft's place.
 
     Attributes
@@ -79,51 +77,25 @@ class Tap:
     """
 
     def __init__(self, vehicle_sends_to: int, bridge_listens_on: int) -> None:
+        super().__init__(vehicle_sends_to, bridge_listens_on)
         self.said: deque[bytes] = deque(maxlen=200)
         self.beats = 0
         self.targets: list[Any] = []
         self.others: list[Any] = []
         self.port = bridge_listens_on
         self._parser = mavlink.MAVLink(None)
-        self._vehicle_end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._vehicle_end.bind(("127.0.0.1", vehicle_sends_to))
-        self._bridge_end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._bridge_end.connect(("127.0.0.1", bridge_listens_on))
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-
-    def __enter__(self) -> Tap:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._vehicle_end.close()
-        self._bridge_end.close()
 
     def inject(self, frame: bytes) -> None:
         self._bridge_end.send(frame)
 
-    def _run(self) -> None:
-        vehicle = None
-        with selectors.DefaultSelector() as ready:
-            for end in (self._vehicle_end, self._bridge_end):
-                ready.register(end, selectors.EVENT_READ)
-            while not self._stop.is_set():
-                for key, _ in ready.select(0.1):
-                    # The other side may not be there yet, or any more.
-                    with suppress(ConnectionError):
-                        if key.fileobj is self._vehicle_end:
-                            data, vehicle = self._vehicle_end.recvfrom(2048)
-                            self.said.extend(frames_of(data))
-                            self._bridge_end.send(data)
-                            continue
-                        data = self._bridge_end.recv(2048)
-                        if vehicle is not None:
-                            self._vehicle_end.sendto(data, vehicle)
-                        for message in self._parser.parse_buffer(data) or ():
-                            self._note(message)
+    def from_vehicle(self, data: bytes) -> bool:
+        self.said.extend(frames_of(data))
+        return True
+
+    def from_bridge(self, data: bytes, heard: bool) -> bool:
+        for message in self._parser.parse_buffer(data) or ():
+            self._note(message)
+        return True
 
     def _note(self, message: Any) -> None:
         kind = message.get_type()

@@ -6,17 +6,15 @@ own record of its mode and place.
 
 from __future__ import annotations
 
-import selectors
-import socket
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
 from fleet_rig import ARM, TAKEOFF, Rig, distance, distinct, order, until
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from udp_wire import UdpWire
 
 from jpap_ros.fleet.config import LinkUrl
 from jpap_ros.mavlink.fleet_controller import FleetOrder
@@ -28,7 +26,7 @@ TARGET = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 NAMES = ("ardupilot", "px4")
 
 
-class Cable:
+class Cable(UdpWire):
     """Two UDP sockets that pass on what comes, until cut.
 
     Attributes
@@ -38,43 +36,18 @@ class Cable:
     """
 
     def __init__(self, vehicle_sends_to: int, bridge_listens_on: int) -> None:
+        super().__init__(vehicle_sends_to, bridge_listens_on)
         self.cut = False
         self.to_vehicle: Counter[int] = Counter()
-        self._vehicle_end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._vehicle_end.bind(("127.0.0.1", vehicle_sends_to))
-        self._bridge_end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._bridge_end.connect(("127.0.0.1", bridge_listens_on))
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
 
-    def __enter__(self) -> Cable:
-        self._thread.start()
-        return self
+    def from_vehicle(self, data: bytes) -> bool:
+        return not self.cut
 
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._vehicle_end.close()
-        self._bridge_end.close()
-
-    def _run(self) -> None:
-        vehicle = None
-        with selectors.DefaultSelector() as ready:
-            for end in (self._vehicle_end, self._bridge_end):
-                ready.register(end, selectors.EVENT_READ)
-            while not self._stop.is_set():
-                for key, _ in ready.select(0.1):
-                    # The other side may not be there yet, or any more.
-                    with suppress(ConnectionError):
-                        if key.fileobj is self._vehicle_end:
-                            data, vehicle = self._vehicle_end.recvfrom(2048)
-                            if not self.cut:
-                                self._bridge_end.send(data)
-                        else:
-                            data = self._bridge_end.recv(2048)
-                            if not self.cut and vehicle is not None:
-                                self.to_vehicle[int.from_bytes(data[7:10], "little")] += 1
-                                self._vehicle_end.sendto(data, vehicle)
+    def from_bridge(self, data: bytes, heard: bool) -> bool:
+        if self.cut or not heard:
+            return False
+        self.to_vehicle[int.from_bytes(data[7:10], "little")] += 1
+        return True
 
 
 class Alone:
