@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -386,3 +387,19 @@ def test_who_was_left_on_a_line_by_somebody_else_keeps_others_off_it(control: Tr
     for step in range(20):
         control.step(step * STEP_S, fleet)
     assert "left" in control.held("a")
+
+
+def test_an_aircraft_on_its_way_up_stops_when_a_pilot_takes_over_the_one_above_it() -> None:
+    control = TrafficControl(LIMITS, waits_for_plans=True)
+    try:
+        low, high = Traveller((0, 0, 50), True, True, (0, 0, 110)), Traveller((0, 0, 122), True, True)
+        control.step(0.0, {"low": low, "high": high})
+        start = control.setpoint("low", 4.0)
+        assert start.velocity[2] > 0
+        taken = replace(high, obeys=False)
+        for moment in np.arange(4.0, 60.0, 0.5):
+            place = control.setpoint("low", moment).position
+            control.step(moment, {"low": replace(low, position=place, heard_at=moment), "high": taken})
+        assert control.setpoint("low", 60.0).position[2] <= 122 - LIMITS.min_separation_m - 5.0
+    finally:
+        control.close()

@@ -413,3 +413,12 @@ def test_a_line_on_which_somebody_may_be_is_closed_with_the_air_below_it():
     assert polyline_distance(np.array([[22.5, 0.0, 20.0]]), silent.column) == pytest.approx(2.5)
     plan = plan_transit({"a": (20, -40, 45)}, {"a": (20, 40, 45)}, LIMITS, [silent])
     assert minimum_separation(plan, [silent]) >= LIMITS.min_separation_m
+
+
+def test_a_tired_aircraft_does_not_climb_into_its_relief_that_a_pilot_has_taken_over():
+    """The relief is 12 m straight above; home is beyond it, so that the way up would be the shortest."""
+    pilot = Obstacle("relief", (0, 0, 62), radius_m=5.0)
+    plan = plan_transit({"tired": (0, 0, 50)}, {"tired": (-300, -300, 74)}, LIMITS, [pilot])
+    assert not plan.held
+    track = np.array([plan.position("tired", moment) for moment in np.linspace(0.0, plan.duration_s, 500)])
+    assert np.linalg.norm(track - (0, 0, 62), axis=1).min() >= 12.0 - 1e-6

@@ -56,3 +56,20 @@ def test_no_transition_comes_nearer_than_the_limit_or_than_it_began(seed: int) -
         allowed = min(LIMITS.min_separation_m, began) - 1e-6
         assert min(seen, minimum_separation(plan, obstacles)) >= allowed, (names, starts, goals, obstacles)
         assert math.isfinite(seen)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nobody_who_is_in_the_column_of_an_obstacle_comes_nearer_to_it(seed: int) -> None:
+    """As below one that a pilot has just taken over. Oracle: setpoints at many moments, and where it was last seen."""
+    rng = np.random.default_rng(seed)
+    for _ in range(200):
+        places = rng.uniform((0, 0, 25), (60, 60, 90), (int(rng.integers(1, 3)), 3))
+        obstacles = [Obstacle(f"pilot{i}", tuple(place), radius_m=5.0) for i, place in enumerate(places)]
+        near = places[rng.integers(len(places))] + rng.uniform((-10, -10, -20), (10, 10, 20))
+        starts = {"near": near, "far": rng.uniform((0, 0, 30), (60, 60, 70))}
+        goals = {name: rng.uniform((0, 0, 30), (90, 90, 110)) for name in starts}
+        plan = plan_transit(starts, goals, LIMITS, obstacles)
+        for name, place in ((name, place) for name in starts for place in places):
+            track = np.array([plan.position(name, moment) for moment in np.linspace(0.0, plan.duration_s, 200)])
+            seen = np.linalg.norm(track - place, axis=1)
+            assert seen.min() >= min(seen[0], LIMITS.min_separation_m + 5.0) - 1e-6, (starts, goals, places)

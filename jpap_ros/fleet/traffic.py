@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -272,7 +273,7 @@ class TrafficControl:
         for flight in self._flights:
             paths = np.swapaxes(flight.rest(now).waypoints, 0, 1)
             lines += [(other, path, 0.0) for other, path in zip(flight.convoy.names, paths, strict=True)]
-        lines += [(obstacle.name, obstacle.column, obstacle.radius_m) for obstacle in self._obstacles()]
+        lines += [(each.name, line, each.radius_m) for each in self._obstacles() for line in each.lines]
         for other, line, radius_m in lines:
             wanted = self.limits.planned_separation_m + radius_m
             if here is not None:
@@ -405,10 +406,10 @@ class TrafficControl:
         rest = flight.rest(now).waypoints
         wanted = self.limits.min_separation_m
         for obstacle in obstacles:
-            for path in np.swapaxes(rest, 0, 1):
-                near = polyline_distance(path, obstacle.column) - obstacle.radius_m
+            for line, path in product(obstacle.lines, np.swapaxes(rest, 0, 1)):
+                near = polyline_distance(path, line) - obstacle.radius_m
                 # One that begins too near may fly on if that leads away.
-                if near < min(wanted, polyline_distance(path[:1], obstacle.column) - obstacle.radius_m) - SAME_PLACE_M:
+                if near < min(wanted, polyline_distance(path[:1], line) - obstacle.radius_m) - SAME_PLACE_M:
                     return True
         return False
 

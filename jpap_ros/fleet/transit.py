@@ -334,6 +334,9 @@ def _detours(scene: Scene, start: Floats, goal: Floats) -> Iterator[Floats]:
     along /= length
     across = np.array([-along[1], along[0]])
     for closed in scene.near_lines(np.array([start, goal])):
+        if len(closed.line) == 1:
+            # A place in a column: the way round that is the way round it.
+            continue
         wanted = scene.limits.planned_separation_m + closed.radius_m
         offsets = (closed.line[:, :2] - start[:2]) @ np.column_stack([along, across])
         (first, right), (last, left) = offsets.min(axis=0) - wanted, offsets.max(axis=0) + wanted

@@ -153,6 +153,16 @@ class Obstacle:
             line += [top, foot, top]
         return np.array(line)
 
+    @cached_property
+    def lines(self) -> tuple[Floats, ...]:
+        """All that is closed, (k, 3) each [m]: the column, and by themselves the places where it most likely is.
+
+        Whoever is in the column already, such as below one that a pilot has just taken over, may go on in it; but not
+        nearer to those places.
+        """
+        places = self.position, *self.way[-1:]
+        return self.column, *(np.array([place]) for place in places)
+
 
 @dataclass(frozen=True, eq=False)
 class Convoy:

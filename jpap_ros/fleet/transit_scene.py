@@ -25,7 +25,7 @@ ROUNDING_M = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Closed:
-    """A line, (k, 3), that nobody may come near: an obstacle's column, or the path of somebody on the way."""
+    """A line, (k, 3), that nobody may come near: an obstacle's column or place, or the path of somebody on the way."""
 
     name: str
     line: Floats
@@ -93,7 +93,7 @@ class Scene:
         for name in goals:
             if name not in starts:
                 raise ValueError(f"goals has {name!r}, which has no start")
-        closed = [Closed(obstacle.name, obstacle.column, obstacle.radius_m) for obstacle in obstacles]
+        closed = [Closed(obstacle.name, line, obstacle.radius_m) for obstacle in obstacles for line in obstacle.lines]
         closed += [
             Closed(name, convoy.waypoints[:, i], 0.0) for convoy in committed for i, name in enumerate(convoy.names)
         ]
