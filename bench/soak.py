@@ -22,7 +22,8 @@ import numpy as np
 from jpap_ros.fleet.availability import FleetLife, FleetPolicy, Link, Order, Roster, Station, Vehicle
 from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.handover import handed_over
-from jpap_ros.fleet.plan import PlanSettings, full_deployment, plan_change, plan_from_scratch, weigh, with_crew
+from jpap_ros.fleet.plan import full_deployment, plan_change, plan_from_scratch, weigh, with_crew
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.fleet.tower import Tower, Turn
 from jpap_ros.fleet.traffic import TrafficControl, Traveller
 from jpap_ros.fleet.transit_plan import TransitLimits
@@ -281,10 +282,14 @@ class World:
 
     def keep_fleet(self) -> bool:
         """Step the fleet's life; True if a plan is needed for what became of it."""
-        cells = self.plan.cells if self.plan is not None else ()
-        stations = {c.id: Station((*c.position, SETTINGS.link.altitude_m), len(c.device_ids)) for c in cells}
+        stations = {}
+        if self.plan is not None:
+            wanted = {cell.id for cell in self.plan.target}
+            for cell in self.plan.cells:
+                goal = (*cell.position, SETTINGS.link.altitude_m)
+                stations[cell.id] = Station(goal, len(cell.device_ids), cell.id not in wanted)
         self.roster = self.life.step(self.now, [self._vehicle(craft) for craft in self.fleet.values()], stations)
-        self.relieved += len(self.roster.relieved)
+        self.relieved += sum(" relieves " in event for event in self.roster.events)
         self.critical += sum("critical battery" in event for event in self.roster.events)
         for action in self.roster.actions:
             self._order(self.fleet[action.uav], action.order)
@@ -292,18 +297,18 @@ class World:
             return False
         before = self.published
         crewed = with_crew(self.plan, self.roster.crew)
-        self.plan = self.published = handed_over(before, crewed, self._aircraft(), SETTINGS.link)
+        self.plan = self.published = handed_over(before, crewed, self._aircraft(), SETTINGS)
         self.interrupted += len(self.plan.interrupted.keys() - (before.interrupted if before is not None else {}))
         of_uav = {cell.uav: cell for cell in self.plan.cells}
         for craft in self.fleet.values():
             if not craft.hears(self.now):
                 continue
             craft.wanted, craft.apply_within_m = {}, 0.0
-            if (cell := of_uav.get(craft.name)) is not None:
-                craft.wanted = dict(zip(cell.device_ids, cell.power_w, strict=True))
-                craft.goal, craft.apply_within_m = (*cell.position, SETTINGS.link.altitude_m), cell.apply_within_m
-        needed, usable = self.plan.uavs_needed, self.roster.usable
-        return usable != self.planned_for and (needed > len(cells) or usable < len(cells))
+            if (told := of_uav.get(craft.name)) is not None:
+                craft.wanted = dict(zip(told.device_ids, told.power_w, strict=True))
+                craft.goal, craft.apply_within_m = (*told.position, SETTINGS.link.altitude_m), told.apply_within_m
+        needed, usable, cells = self.plan.uavs_needed, self.roster.usable, len(self.plan.target)
+        return usable != self.planned_for and (needed > cells or usable < cells)
 
     def _order(self, craft: Craft, order: Order) -> None:
         """Carry out an order as the bridge does; one that is under way is not begun again."""
@@ -358,6 +363,7 @@ class World:
             if craft.turn and self.tower.may_climb(craft.turn, self.now) is None:
                 craft.phase = Phase.CLIMB
         elif craft.phase is Phase.CLIMB:
+            assert craft.turn is not None
             top_m = self.tower.climb_m(craft.turn)
             craft.place = east, north, min(up + LIMITS.vertical_speed_m_s * STEP_S, top_m)
             if craft.place[2] == top_m:
@@ -374,10 +380,11 @@ class World:
                 craft.run_on()
             else:
                 craft.follow(setpoint.position, setpoint.velocity, setpoint.ahead_m)
-            place = self.tower.waiting_place(craft.turn) if craft.homing else None
-            there = place is not None and math.dist(craft.place, place) < 0.1
-            if there and craft.hears(self.now) and self.tower.may_land(craft.turn, craft.place, self.now) is None:
-                craft.phase = Phase.DESCEND
+            if craft.homing and craft.turn is not None:
+                place = self.tower.waiting_place(craft.turn)
+                there = place is not None and math.dist(craft.place, place) < 0.1
+                if there and craft.hears(self.now) and self.tower.may_land(craft.turn, craft.place, self.now) is None:
+                    craft.phase = Phase.DESCEND
         if craft.in_air:
             craft.battery = max(craft.battery - STEP_S / FLIGHT_TIME_S, 0.0)
             craft.flown_m += math.dist(here, craft.place)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
 from jpap_ros.fleet.naming import name_cells
-from jpap_ros.fleet.plan import PlanSettings, full_deployment, plan_change, plan_from_scratch, weigh
+from jpap_ros.fleet.plan import full_deployment, plan_change, plan_from_scratch, weigh
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.planning import SCHEMES, LinkBudget
 from jpap_ros.planning.devices import Device
 from jpap_ros.planning.replanning_decision import ReplanningPolicy
@@ -281,7 +282,7 @@ def test_devices_of_the_greatest_weights_stay_in_the_plan_when_their_aircraft_is
 
 
 def fleet_plan(cells=(), needed=0, bound=None, proven=False):
-    return FleetPlan(cells, LivePlan.empty(), {}, needed, bound, proven, SCHEME, math.nan, {}, True)
+    return FleetPlan(cells, cells, LivePlan.empty(), {}, needed, bound, proven, SCHEME, math.nan, {}, True)
 
 
 def test_the_summary_counts():

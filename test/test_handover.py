@@ -4,6 +4,7 @@ Oracles: aircraft flown straight in small steps, with radios that do what PowerA
 the powers that each of them applies at each moment; cases worked by hand.
 """
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -13,16 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jpap_ros.fleet.cells import Aircraft
-from jpap_ros.fleet.handover import handed_over
-from jpap_ros.fleet.plan import (
-    PlanSettings,
-    full_deployment,
-    named_plan,
-    plan_change,
-    plan_from_scratch,
-    weigh,
-    with_crew,
-)
+from jpap_ros.fleet.handover import handed_over, moved_on
+from jpap_ros.fleet.plan import full_deployment, named_plan, plan_change, plan_from_scratch, weigh, with_crew
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.planning.devices import Device
 from jpap_ros.planning.replanning_decision import ReplanningPolicy
 from jpap_ros.planning.replanning_state import LiveCell, LivePlan
@@ -69,7 +63,7 @@ def test_a_plan_whose_crew_was_changed_is_compared_with_the_one_that_was_flown()
     fleet = [Aircraft("u1", (0.0, 0.0), airborne=True, unavailable="cannot be given a cell now"), grounded("u2", 1500)]
     crew = {before.cells[0].id: "u2"}
     planned = plan_change(devices, SETTINGS, fleet, with_crew(before, crew))
-    assert ARRIVE in handed_over(before, with_crew(planned, crew), fleet, LINK).interrupted["a"]
+    assert ARRIVE in handed_over(before, with_crew(planned, crew), fleet, SETTINGS).interrupted["a"]
 
 
 @pytest.mark.parametrize(("above_m", "rate", "named"), [(12.0, 17.0, False), (12.0, 21.6, True), (0.0, 21.6, False)])
@@ -78,38 +72,133 @@ def test_a_relief_above_the_cell_interrupts_only_whom_it_does_not_reach_from_the
     devices = [device("a", 0, rate=rate)]
     before = plan_from_scratch(devices, SETTINGS, [flying("u1", 0), grounded("u2", 900)])
     fleet = [flying("u1", 0), flying("u2", 0, up_m=50.0 + above_m)]
-    after = handed_over(before, with_crew(before, {before.cells[0].id: "u2"}), fleet, LINK)
+    after = handed_over(before, with_crew(before, {before.cells[0].id: "u2"}), fleet, SETTINGS)
     assert bool(after.interrupted) is named and after.cells[0].apply_within_m == 0
 
 
 def plan_of(devices, *cells):
-    """A plan by hand: (aircraft, east, north, devices) of each cell, whose power is shared equally."""
+    """A plan by hand: (aircraft, east, north, devices) of each cell that has any; they share its power equally."""
+    used = [(i, *cell) for i, cell in enumerate(cells) if cell[3]]
     live = tuple(
-        LiveCell(i, (float(x), float(y)), tuple(names), (10.0 / len(names),) * len(names))
-        for i, (_, x, y, names) in enumerate(cells)
+        LiveCell(i, (float(x), float(y)), tuple(names), (10.0 / len(names),) * len(names)) for i, _, x, y, names in used
     )
-    crew = {i: uav for i, (uav, *_) in enumerate(cells)}
-    plan = LivePlan(live, SETTINGS.demands(devices), {}, len(cells), len(cells))
+    crew = {i: uav for i, uav, *_ in used}
+    plan = LivePlan(live, SETTINGS.demands(devices), {}, len(cells), len(used))
     return named_plan(plan, SETTINGS, [flying(uav, 0) for uav in crew.values()], crew)
 
 
+def told(plan):
+    """Position and devices that each aircraft is told."""
+    return {cell.uav: (cell.position, "".join(cell.device_ids)) for cell in plan.cells}
+
+
+def listed(plan):
+    """Devices that each aircraft is said to serve."""
+    return {cell.uav: "".join(cell.served) for cell in plan.cells}
+
+
+AB = [device("a", 0), device("b", 100)]
+LOST = Aircraft("u1", (0.0, 0.0), airborne=True, unavailable="is lost")
+
+
 @pytest.mark.parametrize(
-    ("u2", "named"), [(flying("u2", 100), 0), (flying("u2", 180), 0), (grounded("u2", 100), 1), (flying("u2", 300), 1)]
+    ("u1", "u2", "waits", "named"),
+    [
+        (flying("u1", 0), flying("u2", 100), False, False),
+        (flying("u1", 0), flying("u2", 180), False, False),
+        (flying("u1", 0), grounded("u2", 100), True, False),
+        (flying("u1", 0), flying("u2", 300), True, False),
+        (LOST, flying("u2", 300), False, True),
+    ],
 )
-def test_who_goes_to_another_aircraft_is_named_unless_that_is_in_reach_already(u2, named):
+def test_who_goes_to_another_aircraft_is_held_until_that_is_in_reach_and_named_where_nobody_can(u1, u2, waits, named):
     """By hand: with half the power a UAV reaches sqrt(5e9 / (2^17 - 1) - 50^2) = 188.8 m."""
-    devices = [device("a", 0), device("b", 100)]
-    before = plan_of(devices, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
-    merged = plan_of(devices, ("u1", 9000, 0, "b"), ("u2", 100, 0, "ab"))
-    merged = replace(
-        merged,
-        cells=tuple(cell for cell in merged.cells if cell.uav == "u2"),
-        live=replace(merged.live, cells=merged.live.cells[1:]),
-    )
-    after = handed_over(before, merged, [flying("u1", 0), u2], LINK)
+    before = plan_of(AB, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
+    merged = plan_of(AB, ("u1", 0, 0, ""), ("u2", 100, 0, "ab"))
+    after = handed_over(before, merged, [u1, u2], SETTINGS)
     assert list(after.interrupted) == ["a"] * named
+    assert after.waiting == ({"u1": ("u2",)} if waits else {})
+    assert listed(after) == ({"u1": "a", "u2": "b"} if waits else {"u2": "ab"})
+    if waits:
+        assert told(after) == {"u1": ((0, 0), "a"), "u2": ((100, 0), "ab")}
     # b keeps its 10 W until its 5 W are enough, at 188.8 m.
-    assert after.cells[0].apply_within_m == pytest.approx(188.8 if u2.position[0] == 300 else 0.0, abs=0.1)
+    within_m = next(cell.apply_within_m for cell in after.cells if cell.uav == "u2")
+    assert within_m == pytest.approx(188.8 if u2.position[0] == 300 else 0.0, abs=0.1)
+
+
+def test_who_waits_goes_once_the_other_serves():
+    before = plan_of(AB, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
+    merged = plan_of(AB, ("u1", 0, 0, ""), ("u2", 100, 0, "ab"))
+    plan = handed_over(before, merged, [flying("u1", 0), flying("u2", 300)], SETTINGS)
+    assert moved_on(plan, [flying("u1", 0), flying("u2", 190)], SETTINGS) is None
+    done = moved_on(plan, [flying("u1", 0), flying("u2", 188)], SETTINGS)
+    assert (told(done), listed(done), done.waiting) == ({"u2": ((100, 0), "ab")}, {"u2": "ab"}, {})
+    assert moved_on(done, [flying("u1", 0), flying("u2", 188)], SETTINGS) is None
+
+
+def test_a_device_that_a_waiting_aircraft_has_no_time_for_is_unserved_until_it_goes():
+    """u1 is to go to c, which nobody serves, and waits since a goes to u2, which is not there yet."""
+    devices = [*AB, device("c", 2000)]
+    before = plan_of(AB, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
+    new = plan_of(devices, ("u1", 2000, 0, "c"), ("u2", 100, 0, "ab"))
+    plan = handed_over(before, new, [flying("u1", 0), flying("u2", 300)], SETTINGS)
+    assert told(plan) == {"u1": ((0, 0), "a"), "u2": ((100, 0), "ab")} and listed(plan) == {"u1": "a", "u2": "b"}
+    assert plan.unserved == {"c": "u1 will serve it once it need not wait for u2"} and not plan.live.unserved
+    done = moved_on(plan, [flying("u1", 0), flying("u2", 180)], SETTINGS)
+    assert told(done) == {"u1": ((2000, 0), "c"), "u2": ((100, 0), "ab")} and not done.unserved
+
+
+@pytest.mark.parametrize(
+    ("count", "factor", "waits"), [(2, 2.0, True), (3, 2.0, False), (3, 3.0, True), (1, 0.5, False)]
+)
+def test_an_aircraft_goes_where_those_who_wait_for_it_weigh_too_much(count, factor, waits):
+    more = [device(f"{k}", 2000 + k) for k in range(count)]
+    before = plan_of(AB, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
+    new = plan_of([*AB, *more], ("u1", 2000, 0, [d.id for d in more]), ("u2", 100, 0, "ab"))
+    fleet = [flying("u1", 0), flying("u2", 300)]
+    plan = handed_over(before, new, fleet, replace(SETTINGS, hold_factor=factor))
+    assert bool(plan.waiting) is waits and list(plan.interrupted) == ([] if waits else ["a"])
+    assert len(plan.unserved) == (count if waits else 0)
+
+
+def test_in_a_ring_the_one_goes_whose_devices_weigh_least():
+    """u1 and u2 exchange a and b, 2 km apart: one of them has to go first, and interrupts its device."""
+    devices = [Device("a", (0.0, 0.0), RATE, 1.0), Device("b", (2000.0, 0.0), RATE, 3.0)]
+    before = plan_of(devices, ("u1", 0, 0, "a"), ("u2", 2000, 0, "b"))
+    new = plan_of(devices, ("u1", 2000, 0, "b"), ("u2", 0, 0, "a"))
+    plan = handed_over(before, new, [flying("u1", 0), flying("u2", 2000)], SETTINGS)
+    assert told(plan) == {"u1": ((2000, 0), "b"), "u2": ((2000, 0), "b")}
+    assert plan.waiting == {"u2": ("u1",)} and list(plan.interrupted) == ["a"]
+    done = moved_on(plan, [flying("u1", 1900), flying("u2", 2000)], SETTINGS)
+    assert told(done) == told(new) and list(done.interrupted) == ["a"]
+
+
+def test_nobody_is_sent_to_the_place_of_one_that_waits():
+    """u3 is to come to where u1 waits for u2: it waits as well, until u1 serves c instead of it."""
+    devices = [*AB, device("c", 0, 1000), device("f", 5, 5)]
+    settings = replace(SETTINGS, min_separation_m=15.0)
+    before = plan_of(devices, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"), ("u3", 0, 1000, "c"))
+    new = plan_of(devices, ("u1", 0, 980, "c"), ("u2", 100, 0, "ab"), ("u3", 5, 5, "f"))
+    fleet = [flying("u1", 0), flying("u2", 300), flying("u3", 0, 1000)]
+    plan = handed_over(before, new, fleet, settings)
+    assert plan.waiting.keys() == {"u1", "u3"} and not plan.interrupted
+    assert told(plan)["u3"] == ((0, 1000), "c") and told(plan)["u1"] == ((0, 0), "a")
+    fleet[1] = flying("u2", 100)
+    plan = moved_on(plan, fleet, settings)
+    assert plan.waiting == {"u3": ("u1",)} and told(plan)["u1"] == ((0, 980), "c")
+    fleet[0] = flying("u1", 0, 900)
+    plan = moved_on(plan, fleet, settings)
+    assert told(plan) == told(new) and not plan.waiting and not plan.interrupted and not plan.unserved
+
+
+def test_a_device_that_left_is_no_longer_told_of_and_one_that_moved_away_is_not_called_served():
+    devices = [device("a", 0), device("d", 10), device("e", 20), device("b", 100)]
+    before = plan_of(devices, ("u1", 0, 0, "ade"), ("u2", 100, 0, "b"))
+    now = [device("a", 0), device("e", 800), device("b", 100)]
+    new = plan_of(now, ("u1", 800, 0, "e"), ("u2", 100, 0, "ab"))
+    plan = handed_over(before, new, [flying("u1", 0), flying("u2", 300)], SETTINGS)
+    assert told(plan)["u1"] == ((0, 0), "ae") and listed(plan) == {"u1": "a", "u2": "b"}
+    assert list(plan.unserved) == ["e"] and not plan.interrupted
 
 
 def test_a_plan_from_scratch_pays_for_those_it_interrupts_from_where_the_aircraft_are():
@@ -121,8 +210,13 @@ def test_a_plan_from_scratch_pays_for_those_it_interrupts_from_where_the_aircraf
     weighed = weigh(full, devices, SETTINGS, there, before, policy)
     assert weighed.adopted and not weighed.plan.interrupted
     (cell,) = weighed.plan.cells
-    on_its_way = [replace(craft, position=(0.0, 1500.0)) if craft.name == cell.uav else craft for craft in there]
-    assert not weigh(full, devices, SETTINGS, on_its_way, before, policy).adopted
+    far = {craft.name: craft for craft in there} | {cell.uav: flying(cell.uav, 0, 1500)}
+    # The other one holds its device until this one is there; nobody can if it is lost.
+    weighed = weigh(full, devices, SETTINGS, list(far.values()), before, policy)
+    assert weighed.adopted and not weighed.plan.interrupted and len(weighed.plan.waiting) == 1
+    other = "u2" if cell.uav == "u1" else "u1"
+    gone = replace(far[other], connected=False)
+    assert not weigh(full, devices, SETTINGS, [far[cell.uav], gone], before, policy).adopted
 
 
 def test_powers_that_wait_still_wait_after_a_plan_that_leaves_the_cell_alone():
@@ -130,7 +224,7 @@ def test_powers_that_wait_still_wait_after_a_plan_that_leaves_the_cell_alone():
     devices = [device("a", 0), device("b", 100)]
     before = plan_of(devices, ("u1", 300, 0, "b"))
     shared = plan_of(devices, ("u1", 100, 0, "ab"))
-    first = handed_over(before, shared, [flying("u1", 300)], LINK)
+    first = handed_over(before, shared, [flying("u1", 300)], SETTINGS)
     (cell,) = first.cells
     assert (cell.apply_within_m, cell.power_until_w) == (pytest.approx(188.8, abs=0.1), (("b", 10.0),))
     waiting = plan_change(devices, SETTINGS, [flying("u1", 295)], first)
@@ -142,7 +236,8 @@ def test_powers_that_wait_still_wait_after_a_plan_that_leaves_the_cell_alone():
 class World:
     """Aircraft that fly straight to their goals, and radios that do what their power allocation says."""
 
-    def __init__(self, seed):
+    def __init__(self, seed, settings):
+        self.settings = settings
         self.rng = np.random.default_rng(seed)
         self.devices = {}
         for _ in range(self.rng.integers(1, 9)):
@@ -190,6 +285,10 @@ class World:
     def publish(self, plan):
         """What each radio and each autopilot makes of a plan."""
         self.plan = plan
+        # Whoever is in the air is never sent too near to where another one waits.
+        goals = [cell.position for cell in plan.cells if cell.uav in self.up - self.lost]
+        apart = [math.dist(a, b) for a, b in itertools.combinations(goals, 2)]
+        assert min(apart, default=math.inf) >= self.settings.min_separation_m * (1 - 1e-6)
         busy = {cell.uav: cell for cell in plan.cells if cell.uav}
         for uav in self.place:
             self.goal.pop(uav, None)
@@ -201,6 +300,13 @@ class World:
             self.goal[uav] = (*cell.position, LINK.altitude_m)
             self.waiting[uav] = cell.apply_within_m, dict(zip(cell.device_ids, cell.power_w, strict=True))
         self.obey()
+
+    def let_go(self):
+        """Tell anew what aircraft have come far enough for; return whom that interrupts."""
+        if (plan := moved_on(self.plan, self.aircraft(), self.settings)) is None:
+            return set()
+        self.publish(plan)
+        return plan.interrupted.keys() | plan.unserved.keys()
 
     def obey(self):
         for uav, (within_m, powers) in list(self.waiting.items()):
@@ -230,13 +336,14 @@ class World:
 
 
 @settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_who_is_served_and_not_named_stays_served_until_the_next_plan(seed):
+@given(seed=st.integers(0, 2**32 - 1), min_separation_m=st.sampled_from([0.0, 60.0]))
+def test_who_is_served_and_not_named_stays_served_until_the_next_plan(seed, min_separation_m):
     """Joins, moves, launches, losses and plans from scratch while aircraft are anywhere on their ways.
 
-    An aircraft within 2 m of its goal counts as there: what 2 m change from 50 m away is at most 2 / (50 ln 2) = 0.058.
+    An aircraft within 2 m of its goal counts as there: from straight above that makes 2 log2(52 / 50) = 0.113 at most.
     """
-    world, margin = World(seed), 0.06
+    planning = replace(SETTINGS, min_separation_m=min_separation_m)
+    world, margin = World(seed, planning), 0.115
     for _ in range(8):
         before = world.served(margin)
         kind = world.event()
@@ -244,16 +351,29 @@ def test_who_is_served_and_not_named_stays_served_until_the_next_plan(seed):
         before &= world.devices.keys() if kind == "loss" else world.served(margin)
         devices, fleet, old = list(world.devices.values()), world.aircraft(), world.plan
         if old is None:
-            plan = plan_from_scratch(devices, SETTINGS, fleet)
+            plan = plan_from_scratch(devices, planning, fleet)
         elif kind == "weigh":
-            full = full_deployment(devices, SETTINGS, sum(craft.available for craft in fleet))
-            plan = weigh(full, devices, SETTINGS, fleet, old, ReplanningPolicy(tolerance=0.0)).plan
+            full = full_deployment(devices, planning, sum(craft.available for craft in fleet))
+            plan = weigh(full, devices, planning, fleet, old, ReplanningPolicy(tolerance=0.0)).plan
         else:
-            plan = plan_change(devices, SETTINGS, fleet, old)
-        plan = handed_over(old, plan, fleet, LINK)
+            plan = plan_change(devices, planning, fleet, old)
+        plan = handed_over(old, plan, fleet, planning)
         world.publish(plan)
         safe = before - plan.interrupted.keys() - plan.unserved.keys()
-        for _ in range(int(world.rng.integers(1, 400))):
+        for step in range(int(world.rng.integers(1, 400))):
             short = safe - world.served(-margin)
             assert not short, f"{short} lost the rate after {kind}"
             world.fly()
+            if step % 5 == 0:
+                safe -= world.let_go()
+    # Nobody waits for ever: once everybody is up and has had time to arrive, each does what the plan wants.
+    world.up |= set(world.place) - world.lost
+    world.publish(plan_change(list(world.devices.values()), planning, world.aircraft(), world.plan))
+    for step in range(9000):
+        world.fly(step_m=2.0)
+        if step % 20 == 0:
+            world.let_go()
+    assert not world.plan.waiting
+    assert {cell.uav: cell.device_ids for cell in world.plan.target if cell.uav} == {
+        uav: tuple(powers) for uav, powers in world.applied.items() if powers and uav not in world.lost
+    }

@@ -7,7 +7,8 @@ import pytest
 
 from jpap_ros.fleet.cells import Aircraft
 from jpap_ros.fleet.config import MapOrigin
-from jpap_ros.fleet.plan import PlanSettings, plan_change, plan_from_scratch
+from jpap_ros.fleet.plan import plan_change, plan_from_scratch
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.fleet.plan_store import PlanStoreError, load_plan, save_plan
 from jpap_ros.planning import LinkBudget
 from jpap_ros.planning.devices import Device
@@ -49,11 +50,19 @@ def test_a_file_without_stamps_and_those_sent_home_is_read_too(stored):
     assert (read.plan_id, read.stamps, read.sent_home) == (17, {}, frozenset())
 
 
-def test_powers_that_wait_for_their_place_still_do_so_after_a_restart(stored):
+def test_aircraft_that_wait_still_do_so_after_a_restart(stored):
+    """One goes on with its powers, one with its place and devices, and one whose cell is no more is still there."""
     path, plan = stored
-    waits = replace(plan.cells[0], apply_within_m=12.5, power_until_w=(("a", 4.0),))
-    save_plan(path, ORIGIN, 18, DEVICES, SETTINGS, replace(plan, cells=(waits, *plan.cells[1:])))
-    assert load_plan(path, ORIGIN).plan(FLEET).cells == (waits, *plan.cells[1:])
+    powers = replace(plan.cells[0], apply_within_m=12.5, power_until_w=(("a", 4.0),), elsewhere=frozenset("a"))
+    free = next(craft.name for craft in FLEET if craft.name not in plan.names.values())
+    place = replace(
+        plan.cells[1], position=(70.0, 80.0), device_ids=("b",), power_w=(3.0,), rate=(4.0,), waits_for=("u1",)
+    )
+    left = replace(plan.cells[0], id=99, uav=free, waits_for=("u1",))
+    now = replace(plan, cells=(powers, place, *plan.cells[2:], left))
+    save_plan(path, ORIGIN, 18, DEVICES, SETTINGS, now)
+    again = load_plan(path, ORIGIN).plan(FLEET)
+    assert again.cells == now.cells and again.target == plan.target and again.waiting == now.waiting
 
 
 def test_planning_goes_on_as_if_nothing_had_happened(stored):
@@ -99,7 +108,7 @@ DAMAGE = {
     "device": damaged(lambda c: c["devices"][0].update(rate_demand=-1.0)),
     "unknown device in a cell": damaged(lambda c: c["cells"][0]["device_ids"].__setitem__(0, "nobody")),
     "power": damaged(lambda c: c["cells"][0]["power_w"].__setitem__(0, 1e-6)),
-    "waiting": damaged(lambda c: c["waiting"].update({"0": [1.0]})),
+    "told": damaged(lambda c: c["told"].append({"id": 0})),
     "setting": damaged(lambda c: c["settings"].update(colour="red")),
 }
 

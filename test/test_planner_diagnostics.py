@@ -11,7 +11,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from jpap_ros.fleet.cells import Aircraft, FleetPlan
-from jpap_ros.fleet.plan import PlanSettings, full_deployment, named_plan
+from jpap_ros.fleet.plan import full_deployment, named_plan
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.nodes.planner_diagnostics import PlannerHealth
 from jpap_ros.planning.devices import Device
 from jpap_ros.planning.replanning_state import LivePlan

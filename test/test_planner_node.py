@@ -589,6 +589,53 @@ def test_powers_wait_until_they_suit_those_who_are_served(planner, graph):
     assert {len(m.device_ids): m.apply_within_m for m in powers} == {1: 0.0, 2: 0.0, 3: pytest.approx(2.0)}
 
 
+def test_an_aircraft_goes_on_until_the_one_that_takes_over_serves(planner, graph):
+    """By hand: two devices 300 m apart need two UAVs at 19 bit/s/Hz (with half the power one reaches 83.9 m), and one
+    at 17 (188.8 m). Who is to serve both is 1500 m off: the other one holds its device until that one has come.
+    """
+    node = planner(uavs=2)
+    node.send({"a": (0.0, 0.0, 19.0), "b": (300.0, 0.0, 19.0)})
+    cells = {cell.uav: cell for cell in node.plan("2 devices joined").cells}
+    states = {uav: graph.publisher(VehicleState, f"{uav}/state", LATCHED) for uav in cells}
+
+    def fly(uav, east, north):
+        state = VehicleState(uav=uav, link=VehicleState.LINK_CONNECTED, landed_state=VehicleState.LANDED_IN_AIR)
+        state.position_valid, state.position = True, Point(x=east, y=north, z=ALTITUDE_M)
+        states[uav].publish(state)
+
+    for uav, cell in cells.items():
+        fly(uav, cell.goal_pose.position.x, cell.goal_pose.position.y)
+        node.plan(f"{uav} joined")
+    devices = {"a": (0.0, 0.0, 17.0), "b": (300.0, 0.0, 17.0)}
+    node.send(devices)
+    node.plan("changed demand")
+    (place,) = solve([(0.0, 0.0), (300.0, 0.0)], [17.0, 17.0], scheme=SCHEME).uav_positions.tolist()
+    heir, holder = sorted(
+        cells,
+        key=lambda uav: math.hypot(
+            place[0] - cells[uav].goal_pose.position.x, place[1] - cells[uav].goal_pose.position.y
+        ),
+    )
+    fly(heir, 150.0, 1500.0)
+    time.sleep(0.5)
+    assert graph.call(Trigger, "planner/replan").success
+    plan = node.last
+    told = {cell.uav: cell for cell in plan.cells}
+    held = list(cells[holder].device_ids)
+    assert list(told[holder].device_ids) == held and told[holder].goal_pose == cells[holder].goal_pose
+    assert not set(held) & set(told[heir].device_ids), "no device is in two cells"
+    assert math.dist(place, (told[heir].goal_pose.position.x, told[heir].goal_pose.position.y)) < 0.1
+    powers = node.powers[heir]
+    graph.wait(lambda: sorted(powers[-1].device_ids) == ["a", "b"], "powers for both devices")
+    assert not set(plan.interrupted) & set(held) and not plan.unserved
+    fly(heir, *place)
+    plan = node.plan(f"{holder} waited for others, which serve now")
+    (cell,) = plan.cells
+    assert cell.uav == heir and sorted(cell.device_ids) == ["a", "b"] and not plan.interrupted
+    assert_demands_met(plan, devices)
+    graph.wait(lambda: not node.powers[holder][-1].device_ids, f"an empty allocation for {holder}")
+
+
 @pytest.mark.parametrize(("apart", "interrupted"), [(250.0, ["b"]), (150.0, [])])
 def test_a_device_is_interrupted_only_if_it_must_be_and_then_it_is_reported(planner, graph, apart, interrupted):
     """By hand, from equations (3) and (10): with half the power each, a device of 17 bit/s/Hz is served up to

@@ -266,8 +266,8 @@ def test_who_is_not_named_is_served_all_the_way_with_the_powers_that_apply(seed)
     changed = np.logical_or.accumulate(left_m <= change.within_m) if change.within_m else np.ones(401, dtype=bool)
     power = np.where(changed[:, None], new, np.where(elsewhere, 0.0, old))
     rate = np.log2(1 + power * LINK.eta / distance2)
-    # Within 2 m of the goal a rate may be short by what 2 m nearer than 50 m make: 2 / (30 ln 2).
-    short = (rate < demands.rates - np.where(left_m <= HOVER_RADIUS_M, 0.1, 1e-6)[:, None]).any(axis=0)
+    # Within 2 m of the goal a rate may be short by what 2 m make: from straight above 2 log2(52 / 50) = 0.113.
+    short = (rate < demands.rates - np.where(left_m <= HOVER_RADIUS_M, 0.115, 1e-6)[:, None]).any(axis=0)
     meets_at_goal = np.log2(1 + new * LINK.eta / distance2[-1]) >= demands.rates - 1e-9
     now = elsewhere | (np.log2(1 + old * LINK.eta / distance2[0]) >= demands.rates)
     for k, name in enumerate(names):

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jpap_ros.fleet.plan import PlanSettings, full_deployment
+from jpap_ros.fleet.plan import full_deployment
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.planning.devices import Device
 

@@ -132,10 +132,13 @@ class Station:
         (east, north, up) of the goal [m].
     weight : float
         Which stations come first where aircraft are too few.
+    ending : bool
+        Whether it is given up soon: whoever is there stays, but nobody else is sent.
     """
 
     position: tuple[float, float, float]
     weight: float = 1.0
+    ending: bool = False
 
 
 @dataclass(frozen=True)
@@ -247,7 +250,7 @@ class FleetLife:
             reliefs=dict(self._reliefs),
             goals=goals,
             actions=self._actions(now_s, fleet),
-            uncrewed=tuple(cell for cell in stations if cell not in self._crew),
+            uncrewed=tuple(cell for cell in stations if cell not in self._crew and not stations[cell].ending),
             usable=len(self._crew) + len(free),
             free=tuple(vehicle.name for vehicle in free),
             reserves=tuple(vehicle.name for vehicle in free if not vehicle.in_air),
@@ -386,7 +389,11 @@ class FleetLife:
 
     def _fill(self, free: Sequence[Vehicle], stations: Mapping[int, Station]) -> None:
         """Give cells without an aircraft one of those that are free."""
-        places = {cell: station.position for cell, station in stations.items() if cell not in self._crew}
+        places = {
+            cell: station.position
+            for cell, station in stations.items()
+            if cell not in self._crew and not station.ending
+        }
         weights = {cell: stations[cell].weight for cell in places}
         for cell, name in self._nearest(free, places, weights).items():
             self._crew[cell] = name
@@ -399,7 +406,7 @@ class FleetLife:
         places = {
             cell: self._waiting_place(stations[cell])
             for cell, name in self._crew.items()
-            if name in self._tired and cell not in self._reliefs
+            if name in self._tired and cell not in self._reliefs and not stations[cell].ending
         }
         weights = {
             cell: 1.0 / (1.0 + self._endurance.left_s(now_s, name, fleet[name].battery, stations[cell].position))

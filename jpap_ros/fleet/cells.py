@@ -77,6 +77,11 @@ class FleetCell:
         Distance from the goal within which the aircraft takes these powers [m]; 0: at once.
     power_until_w : tuple of (str, float)
         Power for each device that it goes on with until then [W].
+    elsewhere : frozenset of str
+        Those of the devices that another aircraft serves for now.
+    waits_for : tuple of str
+        Why this is not what the plan wants of the aircraft, but what it was told before: aircraft that have to serve
+        first, or to leave.
     """
 
     id: int
@@ -88,11 +93,19 @@ class FleetCell:
     coverage_radius_m: float = math.nan
     apply_within_m: float = 0.0
     power_until_w: tuple[tuple[str, float], ...] = ()
+    elsewhere: frozenset[str] = frozenset()
+    waits_for: tuple[str, ...] = ()
+
+    @property
+    def served(self) -> dict[str, tuple[float, float]]:
+        """Power [W] and rate [bit/s] of each device that no other aircraft serves for now."""
+        shares = zip(self.device_ids, self.power_w, self.rate, strict=True)
+        return {name: (power, rate) for name, power, rate in shares if name not in self.elsewhere}
 
     @property
     def uav_rate(self) -> float:
-        """Sum of the devices' rates [bit/s]."""
-        return math.fsum(self.rate)
+        """Sum of the rates of those devices [bit/s]."""
+        return math.fsum(rate for _, rate in self.served.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +115,13 @@ class FleetPlan:
     Attributes
     ----------
     cells : tuple of FleetCell
+        What each aircraft is told now. Some go on as they were told before, until others have taken over from them.
+    target : tuple of FleetCell
+        What it comes to once nobody waits any more.
     live : LivePlan
-        The same without names, for replanning.
+        `target` without names, for replanning.
     unserved : mapping of str to str
-        Reason for each device that is left out.
+        Reason for each device that no cell serves.
     uavs_needed, min_uavs_bound, proven_optimal, scheme
         As in `jpap_ros.planning.Deployment`.
     average_uav_rate_bound : float
@@ -118,6 +134,7 @@ class FleetPlan:
     """
 
     cells: tuple[FleetCell, ...]
+    target: tuple[FleetCell, ...]
     live: LivePlan
     unserved: Mapping[str, str]
     uavs_needed: int
@@ -132,6 +149,11 @@ class FleetPlan:
     def names(self) -> dict[int, str]:
         """Aircraft of each cell that has one, by the cell's id."""
         return {cell.id: cell.uav for cell in self.cells if cell.uav}
+
+    @property
+    def waiting(self) -> dict[str, tuple[str, ...]]:
+        """Aircraft that go on as they were told before, and whom they wait for."""
+        return {cell.uav: cell.waits_for for cell in self.cells if cell.waits_for}
 
     @property
     def average_uav_rate(self) -> float:
@@ -149,11 +171,11 @@ class FleetPlan:
 
     def summary(self) -> str:
         """Say it in words."""
-        served = sum(len(cell.device_ids) for cell in self.cells)
+        served = sum(len(cell.served) for cell in self.cells)
         uavs = "1 UAV serves" if len(self.cells) == 1 else f"{len(self.cells)} UAVs serve"
         text = f"{uavs} {served} device{'s' if served != 1 else ''}"
         if self.unserved:
             text += f", {len(self.unserved)} unserved"
-        if self.uavs_needed > len(self.cells):
+        if self.uavs_needed > len(self.target):
             text += f", {self.uavs_needed} UAVs needed"
         return text

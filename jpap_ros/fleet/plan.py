@@ -8,79 +8,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
-import numpy as np
-
-from jpap_ros.fleet.assignment import OBJECTIVES
 from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
 from jpap_ros.fleet.handover import handed_over, on_air
 from jpap_ros.fleet.naming import name_cells
-from jpap_ros.planning import Deployment, LinkBudget, solve
+from jpap_ros.fleet.plan_settings import PlanSettings
+from jpap_ros.planning import Deployment, solve
 from jpap_ros.planning.devices import Device
 from jpap_ros.planning.replanning import replan
 from jpap_ros.planning.replanning_decision import ReplanningPolicy, consider
-from jpap_ros.planning.replanning_state import Demands, Limits, LivePlan
-from jpap_ros.planning.solver import MIN_RATE
+from jpap_ros.planning.replanning_state import Demands, LivePlan
 
 #: Schemes that may take seconds; a quick plan goes ahead of theirs.
 SLOW_SCHEMES = frozenset({"optimal"})
 
 _QUICK_SCHEME = "jpap"
 
-#: Demands are planned for within these limits [bit/s/Hz]: below is nothing to share out, above is far beyond any link,
-#: and 2^r is still a number.
-_DEMAND_RANGE = (MIN_RATE, 500.0)
-
-#: Weights count within these limits [-]: sums of far greater ones overflow.
-_WEIGHT_RANGE = (1e-9, 1e9)
-
 #: What a plan from scratch must gain while no aircraft is in the air: more than rounding.
 _GROUND_TOLERANCE = 0.01
-
-
-@dataclass(frozen=True)
-class PlanSettings:
-    """How to plan; see `jpap_ros.planning.solve`.
-
-    Attributes
-    ----------
-    scheme : str
-    link : LinkBudget
-    bandwidth_hz : float
-        Bandwidth of each device's channel [Hz]: a demand in bit/s is this times one in bit/s/Hz.
-    max_devices_per_uav : int or None
-    min_separation_m : float
-    time_limit_s : float or None
-    assignment : str
-        Which aircraft takes a cell that has none; see `assign`. It changes no cell, so settings that differ only in
-        it are equal.
-    """
-
-    scheme: str = "jpap"
-    link: LinkBudget = field(default_factory=LinkBudget)
-    bandwidth_hz: float = 1.0
-    max_devices_per_uav: int | None = None
-    min_separation_m: float = 0.0
-    time_limit_s: float | None = None
-    assignment: str = field(default=OBJECTIVES[0], compare=False)
-
-    def __post_init__(self) -> None:
-        if self.assignment not in OBJECTIVES:
-            raise ValueError(f"assignment must be one of {', '.join(OBJECTIVES)}, got {self.assignment!r}")
-
-    def limits(self, uavs: int) -> Limits:
-        """Return what every plan for so many UAVs has to keep to."""
-        return Limits(self.scheme, self.link, self.max_devices_per_uav, uavs, self.min_separation_m)
-
-    def demands(self, devices: Sequence[Device]) -> Demands:
-        """Return the devices with their demands in bit/s/Hz."""
-        return Demands.of(
-            tuple(device.id for device in devices),
-            np.array([device.position for device in devices], dtype=np.float64).reshape(-1, 2),
-            np.clip([device.rate_demand / self.bandwidth_hz for device in devices], *_DEMAND_RANGE),
-            np.clip([device.weight for device in devices], *_WEIGHT_RANGE),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +99,9 @@ def plan_change(
     """
     available = [craft for craft in aircraft if craft.available]
     demands, limits = settings.demands(devices), settings.limits(len(available))
-    now = on_air(present, aircraft, settings.link, present.names)
+    now = on_air(present, aircraft, settings.link, {cell.id: cell.uav for cell in present.cells})
     live = replan(present.live, demands, limits, _lost_cells(present, available, demands), now, same_powers=True).plan
-    return handed_over(present, named_plan(live, settings, available, present.names), aircraft, settings.link)
+    return handed_over(present, named_plan(live, settings, available, present.names), aircraft, settings)
 
 
 def plan_from_scratch(
@@ -180,7 +126,7 @@ def plan_from_scratch(
         live = replan(live, demands, limits).plan
     holders = present.names if present is not None else {}
     plan = named_plan(live, settings, available, holders, full=None if slow else full)
-    return handed_over(present, plan, aircraft, settings.link)
+    return handed_over(present, plan, aircraft, settings)
 
 
 def weigh(
@@ -208,18 +154,18 @@ def weigh(
     if not any(craft.airborne for craft in aircraft if craft.name in used):
         tolerance = min(policy.tolerance, _GROUND_TOLERANCE)
         policy = replace(policy, metre_cost=0.0, launch_cost=0.0, interruption_cost=0.0, tolerance=tolerance)
-    now = on_air(present, aircraft, settings.link, present.names)
+    now = on_air(present, aircraft, settings.link, {cell.id: cell.uav for cell in present.cells})
     decision = consider(full, present.live, demands, limits, policy, on_air=now)
     if decision.adopt:
         plan = named_plan(decision.change.plan, settings, available, present.names, full=full)
-        return Weighed(handed_over(present, plan, aircraft, settings.link), True, decision.reason)
+        return Weighed(handed_over(present, plan, aircraft, settings), True, decision.reason)
     bound = full.min_uavs_bound
-    alike = len(present.cells) == len(full.uav_positions) and len(present.unserved) == len(full.unserved) == 0
+    alike = len(present.target) == len(full.uav_positions) and len(present.live.unserved) == len(full.unserved) == 0
     plan = replace(
         present,
         min_uavs_bound=bound,
         # Where devices are left out, the bound alone does not say that so many UAVs would serve them.
-        proven_optimal=bound == present.uavs_needed and (full.proven_optimal or not present.unserved),
+        proven_optimal=bound == present.uavs_needed and (full.proven_optimal or not present.live.unserved),
         average_uav_rate_bound=_rate_bound(full, settings) if alike else math.nan,
     )
     return Weighed(plan, False, decision.reason)
@@ -234,14 +180,18 @@ def _rate_bound(full: Deployment | None, settings: PlanSettings) -> float:
 
 def with_crew(plan: FleetPlan, crew: Mapping[int, str]) -> FleetPlan:
     """Return a plan with these aircraft in its cells; a cell that is not among them has none."""
-    return replace(plan, cells=tuple(replace(cell, uav=crew.get(cell.id, "")) for cell in plan.cells))
+
+    def crewed(cells: tuple[FleetCell, ...]) -> tuple[FleetCell, ...]:
+        return tuple(replace(cell, uav=crew.get(cell.id, "")) for cell in cells)
+
+    return replace(plan, cells=crewed(plan.cells), target=crewed(plan.target))
 
 
 def _lost_cells(present: FleetPlan, available: Sequence[Aircraft], demands: Demands) -> list[int]:
     """Cells whose aircraft is gone and for which there is no other; those of least weight where some can be kept."""
     names = {craft.name for craft in available}
-    held = [cell for cell in present.cells if cell.uav in names]
-    orphans = [cell for cell in present.cells if cell.uav not in names]
+    held = [cell for cell in present.target if cell.uav in names]
+    orphans = [cell for cell in present.target if cell.uav not in names]
 
     def weight(cell: FleetCell) -> float:
         return math.fsum(
@@ -287,8 +237,10 @@ def named_plan(
         )
         for k, cell in enumerate(live.cells)
     ]
+    named = name_cells(cells, available, holders, settings.assignment)
     return FleetPlan(
-        cells=name_cells(cells, available, holders, settings.assignment),
+        cells=named,
+        target=named,
         live=live,
         unserved=live.unserved,
         uavs_needed=live.uavs_needed,

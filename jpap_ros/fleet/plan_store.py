@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -11,7 +12,8 @@ from typing import Any
 
 from jpap_ros.fleet.cells import Aircraft, FleetCell, FleetPlan
 from jpap_ros.fleet.config import MapOrigin
-from jpap_ros.fleet.plan import PlanSettings, named_plan
+from jpap_ros.fleet.plan import named_plan
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.planning import LinkBudget
 from jpap_ros.planning.devices import Device, DeviceTable
 from jpap_ros.planning.replanning_state import LiveCell, LivePlan
@@ -41,8 +43,8 @@ class StoredPlan:
         Stamp of the newest report of each device [ns]; 0 where that had none.
     sent_home : frozenset of str
         Aircraft that the planner, and nobody else, has sent home since they were launched.
-    waiting : mapping of int to (float, mapping of str to float)
-        Of each cell whose radio goes on with other powers for now: `apply_within_m` and `power_until_w` of FleetCell.
+    told : tuple of FleetCell
+        Cells of the plan whose aircraft go on as they were told before, or with other powers for now.
     """
 
     plan_id: int
@@ -52,7 +54,7 @@ class StoredPlan:
     names: Mapping[int, str]
     stamps: Mapping[str, int] = field(default_factory=dict)
     sent_home: frozenset[str] = frozenset()
-    waiting: Mapping[int, tuple[float, Mapping[str, float]]] = field(default_factory=dict)
+    told: tuple[FleetCell, ...] = ()
 
     def plan(self, aircraft: Sequence[Aircraft]) -> FleetPlan:
         """Return the plan for a fleet; a cell whose aircraft is not in it any more has none."""
@@ -60,11 +62,9 @@ class StoredPlan:
         holders = {cell: name for cell, name in self.names.items() if name in known}
         held = [craft for craft in aircraft if craft.name in holders.values()]
         plan = named_plan(self.live, self.settings, held, holders)
-        return replace(plan, cells=tuple(self._waits(cell) for cell in plan.cells))
-
-    def _waits(self, cell: FleetCell) -> FleetCell:
-        within_m, powers = self.waiting.get(cell.id, (0.0, {}))
-        return replace(cell, apply_within_m=within_m, power_until_w=tuple(powers.items()))
+        told = {cell.id: cell for cell in self.told if cell.uav in known}
+        left = [cell for cell in told.values() if cell.id not in {wanted.id for wanted in plan.target}]
+        return replace(plan, cells=(*(told.get(cell.id, cell) for cell in plan.target), *left))
 
     def renamed(self, aircraft: Sequence[Aircraft]) -> FleetPlan:
         """Return the same cells for whoever is nearest: where the names may be out of date."""
@@ -98,10 +98,8 @@ def save_plan(
         "devices": [asdict(device) for device in devices],
         "cells": [asdict(cell) for cell in plan.live.cells],
         "names": {str(cell): name for cell, name in plan.names.items()},
-        "waiting": {
-            str(cell.id): [cell.apply_within_m, dict(cell.power_until_w)] for cell in plan.cells if cell.apply_within_m
-        },
-        "unserved": dict(plan.unserved),
+        "told": [_written(cell) for cell in plan.cells if cell not in plan.target],
+        "unserved": dict(plan.live.unserved),
         "next_id": plan.live.next_id,
         "uavs_needed": plan.uavs_needed,
         "stamps": dict(stamps or {}),
@@ -173,7 +171,27 @@ def _stored(content: Mapping[str, Any], origin: MapOrigin) -> StoredPlan:
     # Files of before these were kept are read as well.
     stamps = {str(name): int(stamp) for name, stamp in content.get("stamps", {}).items()}
     sent_home = frozenset(map(str, content.get("sent_home", ())))
-    waiting = {
-        int(cell): (float(within_m), dict(powers)) for cell, (within_m, powers) in content.get("waiting", {}).items()
-    }
-    return StoredPlan(int(content["plan_id"]), table.devices, settings, live, names, stamps, sent_home, waiting)
+    told = tuple(_read(entry) for entry in content.get("told", ()))
+    return StoredPlan(int(content["plan_id"]), table.devices, settings, live, names, stamps, sent_home, told)
+
+
+def _written(cell: FleetCell) -> dict[str, Any]:
+    radius_m = None if math.isnan(cell.coverage_radius_m) else cell.coverage_radius_m
+    return asdict(cell) | {"coverage_radius_m": radius_m, "elsewhere": sorted(cell.elsewhere)}
+
+
+def _read(entry: Mapping[str, Any]) -> FleetCell:
+    radius_m = entry["coverage_radius_m"]
+    return FleetCell(
+        id=int(entry["id"]),
+        uav=str(entry["uav"]),
+        position=(float(entry["position"][0]), float(entry["position"][1])),
+        device_ids=tuple(map(str, entry["device_ids"])),
+        power_w=tuple(map(float, entry["power_w"])),
+        rate=tuple(map(float, entry["rate"])),
+        coverage_radius_m=math.nan if radius_m is None else float(radius_m),
+        apply_within_m=float(entry["apply_within_m"]),
+        power_until_w=tuple((str(name), float(power)) for name, power in entry["power_until_w"]),
+        elsewhere=frozenset(map(str, entry["elsewhere"])),
+        waits_for=tuple(map(str, entry["waits_for"])),
+    )

@@ -16,7 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, BinaryIO
 
-from jpap_ros.fleet.plan import PlanSettings, full_deployment
+from jpap_ros.fleet.plan import full_deployment
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.planning import Deployment
 from jpap_ros.planning.devices import Device
 

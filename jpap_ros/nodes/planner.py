@@ -30,8 +30,9 @@ from jpap_ros.fleet.bridge_watch import BridgeWatch
 from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.config import load_fleet
 from jpap_ros.fleet.events import AircraftWatch, Events
-from jpap_ros.fleet.handover import handed_over
-from jpap_ros.fleet.plan import SLOW_SCHEMES, PlanSettings, Weighed, with_crew
+from jpap_ros.fleet.handover import handed_over, moved_on
+from jpap_ros.fleet.plan import SLOW_SCHEMES, Weighed, with_crew
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.fleet.plan_store import PlanStoreError, StoredPlan, load_plan, save_plan
 from jpap_ros.fleet.solver_process import Request, SolverError, SolverProcess
 from jpap_ros.mavlink.geodesy import LocalFrame
@@ -58,7 +59,7 @@ from jpap_ros.nodes.worker import Worker
 from jpap_ros.planning import Deployment
 from jpap_ros.planning.devices import Changes, Device
 
-#: How often the fleet's life is looked after [s].
+#: How often the fleet's life is looked after, and whether those who wait for others may go [s].
 _LIFE_PERIOD_S = 0.5
 
 #: After a restart, how long to wait for the aircraft's states before the first plan [s]: DDS finds a killed node's
@@ -113,8 +114,10 @@ class PlannerNode(ManagedNode):
         self._keeper: FleetKeeper | None = None
         self._roster: Roster | None = None
         self._bridge = BridgeWatch(time.monotonic())
-        #: What the state file says, to keep it up to date between two plans.
-        self._stored: tuple[Sequence[Device], PlanSettings, frozenset[str]] | None = None
+        #: What the plan in force was made for, to tell and store it again between two plans.
+        self._made_for: tuple[Sequence[Device], PlanSettings] | None = None
+        #: Whom the state file knows as sent home.
+        self._stored_home: frozenset[str] = frozenset()
         self._planned_for = 0
         self._made = ExitStack()
 
@@ -160,8 +163,7 @@ class PlannerNode(ManagedNode):
         self._result = self.create_guard_condition(self._on_result)
         self._made.callback(self._quiet.close)
         self._made.callback(self.destroy_timer, every_second)
-        if self._keeper is not None:
-            self._made.callback(self.destroy_timer, self.create_timer(_LIFE_PERIOD_S, self._on_life, clock=steady))
+        self._made.callback(self.destroy_timer, self.create_timer(_LIFE_PERIOD_S, self._on_life, clock=steady))
         self._answer = self.create_guard_condition(self._on_solved)
         self._made.callback(self.destroy_guard_condition, self._result)
         self._made.callback(self.destroy_guard_condition, self._answer)
@@ -213,10 +215,11 @@ class PlannerNode(ManagedNode):
         if not self._settings["state_file"]:
             return
         path, stamps = Path(self._settings["state_file"]), self._intake.stamps
-        sent_home = self._keeper.sent_home if self._keeper is not None else frozenset[str]()
-        self._stored = devices, settings, sent_home
+        self._stored_home = self._keeper.sent_home if self._keeper is not None else frozenset()
         try:
-            save_plan(path, self._fleet.origin, self._health.plan_id, devices, settings, plan, stamps, sent_home)
+            save_plan(
+                path, self._fleet.origin, self._health.plan_id, devices, settings, plan, stamps, self._stored_home
+            )
         except PlanStoreError as error:
             self.get_logger().error(str(error), throttle_duration_sec=60.0)
 
@@ -243,7 +246,7 @@ class PlannerNode(ManagedNode):
         self._events, self._early = Events(), Events()
         self._states.clear()
         self._health = PlannerHealth(plan_id=self._health.plan_id)
-        self._weighed = self._planned_with = self._restored = self._stored = self._solved = None
+        self._weighed = self._planned_with = self._restored = self._made_for = self._solved = None
 
     def destroy_node(self) -> None:
         """Stop planning and leave the graph."""
@@ -305,17 +308,38 @@ class PlannerNode(ManagedNode):
         self._touch()
 
     def _on_life(self) -> None:
-        """Look after the fleet; plan anew where its life changes what can be served."""
+        """Look after the fleet, and let those go who wait no longer."""
         if not self.active or self._restored is not None:
             return
-        assert self._keeper is not None
+        if self._keeper is not None:
+            self._look_after_fleet(self._keeper)
+        self._let_go()
+
+    def _let_go(self) -> None:
+        """Tell the plan in force anew once aircraft that waited for others need not any more."""
+        plan = self._present()
+        if plan is None or self._in_work is not None or self._made_for is None:
+            return
+        devices, settings = self._made_for
+        if (now := moved_on(plan, self._all_aircraft(), settings)) is not None:
+            gone = [name for name in plan.waiting if name not in now.waiting]
+            reason = f"{conversions.listed(gone)} waited for others, which serve now" if gone else "devices taken over"
+            self._publish(now, reason, devices, settings, time.monotonic())
+
+    def _present(self) -> FleetPlan | None:
+        """The plan in force with who flies it now."""
+        plan = self._health.plan
+        return with_crew(plan, self._roster.crew) if plan is not None and self._roster is not None else plan
+
+    def _look_after_fleet(self, keeper: FleetKeeper) -> None:
+        """Plan anew where the fleet's life changes what can be served."""
         roster, plan = self._keep_fleet(self._health.plan), self._health.plan
         news = list(roster.events)
         changed = roster.usable != self._planned_for
-        if plan is not None and changed and (plan.uavs_needed > len(plan.cells) or roster.usable < len(plan.cells)):
+        if plan is not None and changed and (plan.uavs_needed > len(plan.target) or roster.usable < len(plan.target)):
             news.append(f"{roster.usable} aircraft are usable")
-        if plan is not None and self._stored is not None and self._keeper.sent_home != self._stored[2]:
-            self._store(plan, *self._stored[:2])
+        if plan is not None and self._made_for is not None and keeper.sent_home != self._stored_home:
+            self._store(plan, *self._made_for)
         if news:
             told = Events()
             for event in news:
@@ -403,12 +427,12 @@ class PlannerNode(ManagedNode):
             self._overdue = True
             return
         assert self._worker is not None and self._first_event_s is not None
-        plan, settings = self._health.plan, plan_settings(self._settings)
+        settings = plan_settings(self._settings)
         job = EventJob(
             devices=self._intake.devices,
             settings=settings,
             aircraft=self._all_aircraft(),
-            present=with_crew(plan, self._roster.crew) if plan is not None and self._roster is not None else plan,
+            present=self._present(),
             scratch=self._settings["replanning"] == "scratch" or settings != self._planned_with,
             policy=replanning_policy(self._settings),
             events=self._events,
@@ -553,8 +577,9 @@ class PlannerNode(ManagedNode):
             reliefs = {name: roster.goals[name] for name in roster.reliefs.values()}
             reason = ", ".join([reason, *(event for event in roster.events if event not in reason)])
         # Against what the radios were last told, for who flies now and from where.
-        plan = handed_over(health.plan, plan, self._all_aircraft(), settings.link)
+        plan = handed_over(health.plan, plan, self._all_aircraft(), settings)
         newly = plan.interrupted.keys() - (health.plan.interrupted if health.plan is not None else {})
+        self._made_for = devices, settings
         # What anybody was told must survive a kill.
         self._store(plan, devices, settings)
         now = time.monotonic()

@@ -105,9 +105,9 @@ def deployment_message(
             Cell(
                 uav=cell.uav,
                 goal_pose=_pose((*cell.position, altitude_m)),
-                device_ids=list(cell.device_ids),
-                power_w=list(cell.power_w),
-                rate=list(cell.rate),
+                device_ids=list(cell.served),
+                power_w=[power for power, _ in cell.served.values()],
+                rate=[rate for _, rate in cell.served.values()],
                 uav_rate=cell.uav_rate,
                 coverage_radius_m=cell.coverage_radius_m,
             )
@@ -119,7 +119,8 @@ def deployment_message(
         proven_optimal=plan.proven_optimal,
         gap=plan.gap,
         average_uav_rate=plan.average_uav_rate,
-        average_uav_rate_bound=plan.average_uav_rate_bound,
+        # It holds for the plan, not for those who still do what they were told before.
+        average_uav_rate_bound=math.nan if plan.waiting else plan.average_uav_rate_bound,
         interrupted=list(plan.interrupted),
         planning_time=_duration(planning_time_s),
     )

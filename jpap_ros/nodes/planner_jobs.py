@@ -10,7 +10,6 @@ from jpap_ros.fleet.cells import Aircraft, FleetPlan
 from jpap_ros.fleet.events import Events
 from jpap_ros.fleet.plan import (
     SLOW_SCHEMES,
-    PlanSettings,
     Weighed,
     brought_up_to_date,
     full_deployment,
@@ -18,6 +17,7 @@ from jpap_ros.fleet.plan import (
     plan_from_scratch,
     weigh,
 )
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.fleet.solver_process import Request
 from jpap_ros.planning import Deployment
 from jpap_ros.planning.devices import Device

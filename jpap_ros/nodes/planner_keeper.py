@@ -91,10 +91,12 @@ class FleetKeeper:
         self._note_launches(states)
         self._ask_separation(now_s)
         weight = {device.id: device.weight for device in devices}
-        stations = {
-            cell.id: Station((*cell.position, altitude_m), sum(weight.get(name, 0.0) for name in cell.device_ids))
-            for cell in (plan.cells if plan is not None else ())
-        }
+        stations = {}
+        if plan is not None:
+            wanted = {cell.id for cell in plan.target}
+            for cell in plan.cells:
+                value = sum(weight.get(name, 0.0) for name in cell.device_ids)
+                stations[cell.id] = Station((*cell.position, altitude_m), value, cell.id not in wanted)
         vehicles = [vehicle_of(name, states.get(name), name in self._sent_home) for name in self._uavs]
         roster = self._life.step(now_s, vehicles, stations)
         for action in roster.actions:

@@ -7,10 +7,11 @@ from typing import Any
 
 from jpap_ros.fleet.assignment import OBJECTIVES
 from jpap_ros.fleet.availability import FleetPolicy
-from jpap_ros.fleet.plan import PlanSettings
+from jpap_ros.fleet.plan_settings import PlanSettings
 from jpap_ros.nodes.parameters import Param, fleet_file
 from jpap_ros.planning import SCHEMES, LinkBudget
 from jpap_ros.planning.replanning_decision import ReplanningPolicy
+from jpap_ros.planning.replanning_state import HOLD_FACTOR
 
 _LINK = LinkBudget()
 _POLICY = ReplanningPolicy()
@@ -59,8 +60,21 @@ def planner_parameters() -> tuple[Param, ...]:
         Param("unserved_value", _POLICY.unserved_value, "Its gain for each weight of devices served more", 0.0, 1e6),
         Param("metre_cost", _POLICY.metre_cost, "Its cost for each metre flown by any UAV [1/m]", 0.0, 1e6),
         Param("launch_cost", _POLICY.launch_cost, "Its cost for each UAV launched or sent home", 0.0, 1e6),
-        Param("interruption_cost", _POLICY.interruption_cost, "Its cost for each weight interrupted", 0.0, 1e6),
+        Param(
+            "interruption_cost",
+            _POLICY.interruption_cost,
+            "Its cost for each weight interrupted or kept waiting",
+            0.0,
+            1e6,
+        ),
         Param("tolerance", _POLICY.tolerance, "What gain must exceed cost by for it to be flown", 0.0, 1e6),
+        Param(
+            "hold_factor",
+            HOLD_FACTOR,
+            "How many times as much as one that waits a device counts that is served, until its heir is there",
+            0.0,
+            1e6,
+        ),
         Param(
             "manage_fleet",
             False,
@@ -150,6 +164,7 @@ PLAN_PARAMETERS = frozenset(
         "max_devices_per_uav",
         "min_separation_m",
         "assignment",
+        "hold_factor",
         "time_limit_s",
         "replanning",
         "reoptimise",
@@ -170,6 +185,7 @@ def plan_settings(values: dict[str, Any]) -> PlanSettings:
         min_separation_m=values["min_separation_m"],
         time_limit_s=values["time_limit_s"] or None,
         assignment=values["assignment"],
+        hold_factor=values["hold_factor"],
     )
 
 

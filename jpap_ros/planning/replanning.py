@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from jpap_ros.planning.deployment import RELATIVE_TOLERANCE
 from jpap_ros.planning.link_budget import snr_demand
 from jpap_ros.planning.replanning_continuity import Continuity, OnAir
+from jpap_ros.planning.replanning_handover import hand_over
 from jpap_ros.planning.replanning_position import Point, nearest_position
 from jpap_ros.planning.replanning_state import Demands, Limits, LiveCell, LivePlan
 from jpap_ros.planning.solver import servable_alone
@@ -35,6 +36,8 @@ class Change:
         Sum of the distances that cells move [m].
     interrupted : mapping of str to str
         Devices whose demand was met and now is not guaranteed at every moment of the change, and why.
+    delayed : tuple of str
+        Devices that nobody serves now and that shall be served by a UAV that has to wait for others.
     """
 
     plan: LivePlan
@@ -42,6 +45,7 @@ class Change:
     ended: tuple[int, ...]
     moved_m: float
     interrupted: Mapping[str, str]
+    delayed: tuple[str, ...]
 
 
 def replan(
@@ -83,7 +87,7 @@ def replan(
     changed, so a departed device frees its own.
     """
     alive = _affordable([cell for cell in present.cells if cell.id not in lost_cells], demands, limits)
-    on_air = on_air or OnAir.at_goals(present, limits.link)
+    on_air = on_air or OnAir.at_goals(present, limits.link, lost_cells)
     draft = _Draft(present, alive, demands, limits, Continuity(on_air, demands, limits.link))
     for cell in alive:
         rows = [demands.index[name] for name in cell.device_ids if name in demands.index]
@@ -104,25 +108,27 @@ def replan(
         if possible[k]:
             draft.serve(k, None)
     reasons = {demands.ids[k]: why for k, why in sorted(unserved.items())}
-    return _compare(present, LivePlan(cells, demands, reasons, next_id, len(draft.members)), draft.continuity)
+    plan = LivePlan(cells, demands, reasons, next_id, len(draft.members))
+    return _compare(present, plan, limits, draft.continuity)
 
 
 def compare(present: LivePlan, plan: LivePlan, limits: Limits, on_air: OnAir | None = None) -> Change:
     """Say what a new plan changes against the one in force; `on_air` as for `replan`."""
-    return _compare(
-        present, plan, Continuity(on_air or OnAir.at_goals(present, limits.link), plan.demands, limits.link)
-    )
+    now = on_air or OnAir.at_goals(present, limits.link)
+    return _compare(present, plan, limits, Continuity(now, plan.demands, limits.link))
 
 
-def _compare(present: LivePlan, plan: LivePlan, continuity: Continuity) -> Change:
+def _compare(present: LivePlan, plan: LivePlan, limits: Limits, continuity: Continuity) -> Change:
     old = {cell.id: cell for cell in present.cells}
     new = {cell.id: cell for cell in plan.cells}
+    how = hand_over(continuity, plan, limits.min_separation_m, limits.hold_factor)
     return Change(
         plan=plan,
         touched=tuple(cell.id for cell in plan.cells if old.get(cell.id) != cell),
         ended=tuple(cell_id for cell_id in old if cell_id not in new),
         moved_m=math.fsum(math.dist(old[i].position, new[i].position) for i in old if i in new),
-        interrupted=continuity.broken_by_plan(plan),
+        interrupted=how.broken,
+        delayed=how.delayed,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from jpap_ros.planning.deployment import RELATIVE_TOLERANCE
@@ -17,6 +17,25 @@ HOVER_RADIUS_M = 2.0
 
 
 @dataclass(frozen=True)
+class Told:
+    """What a UAV goes on with as long as it is told nothing new.
+
+    Attributes
+    ----------
+    goal : tuple of float
+        Where it flies: east, north, and up from the devices [m].
+    power_w : mapping of str to float
+        Power for each device [W] that it takes on its way, or has already.
+    within_m : float
+        Distance to the goal within which it takes them [m]; 0: it has them already.
+    """
+
+    goal: Place
+    power_w: Mapping[str, float]
+    within_m: float = 0.0
+
+
+@dataclass(frozen=True)
 class Radio:
     """What the radio of one UAV does at this moment.
 
@@ -26,10 +45,13 @@ class Radio:
         Where the UAV is: east, north, and up from the devices [m].
     power_w : mapping of str to float
         Power for each device [W].
+    told : Told or None
+        What it does next; None where nothing is known of that.
     """
 
     place: Place
     power_w: Mapping[str, float]
+    told: Told | None = None
 
 
 @dataclass(frozen=True)
@@ -39,7 +61,8 @@ class OnAir:
     Attributes
     ----------
     flying : mapping of int to Radio
-        By the id of the cell that the UAV flies for from now on. A cell that is missing waits for a UAV to arrive.
+        By the id of the cell that the UAV flies for from now on, or of the one that it flew for if it has none any
+        more. A cell that is missing waits for a UAV to arrive.
     gone : tuple of Radio
         Of UAVs that have served until now and do not any more.
     """
@@ -48,14 +71,14 @@ class OnAir:
     gone: tuple[Radio, ...] = ()
 
     @classmethod
-    def at_goals(cls, plan: LivePlan, link: LinkBudget) -> OnAir:
-        """Return what is transmitted once every UAV of a plan is at its goal."""
-        return cls(
-            {
-                cell.id: Radio((*cell.position, link.altitude_m), dict(zip(cell.device_ids, cell.power_w, strict=True)))
-                for cell in plan.cells
-            }
-        )
+    def at_goals(cls, plan: LivePlan, link: LinkBudget, lost: Collection[int] = ()) -> OnAir:
+        """Return what is transmitted once every UAV of a plan is at its goal; those of `lost` cells do not go on."""
+        flying = {}
+        for cell in plan.cells:
+            goal, powers = (*cell.position, link.altitude_m), dict(zip(cell.device_ids, cell.power_w, strict=True))
+            flying[cell.id] = Radio(goal, powers, Told(goal, powers))
+        gone = tuple(flying.pop(cell_id) for cell_id in lost if cell_id in flying)
+        return cls(flying, gone)
 
 
 @dataclass(frozen=True)
@@ -96,44 +119,57 @@ class Continuity:
     """
 
     def __init__(self, on_air: OnAir, demands: Demands, link: LinkBudget) -> None:
-        self._demands = demands
         self._link = link
+        self.demands = demands
         #: Cells whose UAV flies, with what its radio does now.
         self.flying = on_air.flying
         #: Devices whose present demand is met at this moment, in a fixed order.
         self.guaranteed = {
             name: None
             for radio in (*on_air.flying.values(), *on_air.gone)
-            for name, power in radio.power_w.items()
-            if name in demands.index and math.dist(radio.place, self._place(name)) ** 2 <= self._reach2(name, power)
+            for name in radio.power_w
+            if name in demands.index and self._is_served(radio, name)
         }
 
-    def power_change(self, cell: LiveCell) -> PowerChange:
-        """Choose the moment for a new cell's powers: the earliest of those that interrupt the fewest."""
+    def goal(self, cell: LiveCell) -> Place:
+        """Where the UAV of a cell hovers."""
+        return (*cell.position, self._link.altitude_m)
+
+    def power_change(self, cell: LiveCell, held: Collection[str] = ()) -> PowerChange:
+        """Choose the moment for a new cell's powers: the earliest of those that interrupt the fewest.
+
+        Devices that are `held`, because another UAV can serve them until this one does, do not decide.
+        """
         served = [name for name in cell.device_ids if name in self.guaranteed]
         radio = self.flying.get(cell.id)
         if radio is None:
             return PowerChange(0.0, dict.fromkeys(served, "goes to a UAV that has to arrive first"))
-        goal = (*cell.position, self._link.altitude_m)
+        goal = self.goal(cell)
         powers = dict(zip(cell.device_ids, cell.power_w, strict=True))
         windows = {name: self._window(name, radio, powers[name], goal) for name in served}
-        spared: set[str] = set()
-        best = 0.0
+        most, best = 0, 0.0
         for moment in sorted({0.0, *(first for first, _ in windows.values())}):
-            fine = {name for name, (first, last) in windows.items() if first <= moment <= last}
-            if len(fine) > len(spared):
-                spared, best = fine, moment
+            fine = sum(first <= moment <= last for name, (first, last) in windows.items() if name not in held)
+            if fine > most:
+                most, best = fine, moment
         way_m = math.dist(radio.place, goal)
         why = f"out of reach at some moment while its UAV moves {way_m:.1f} m"
         within_m = max((1.0 - best) * way_m, HOVER_RADIUS_M) if best > 0 else 0.0
-        return PowerChange(within_m, {name: why for name in served if name not in spared})
+        return PowerChange(within_m, {name: why for name, (a, b) in windows.items() if not a <= best <= b})
 
-    def broken_by_plan(self, plan: LivePlan) -> dict[str, str]:
-        """Devices that a new plan interrupts or leaves out, and why."""
-        found = {name: plan.unserved[name] for name in self.guaranteed if name in plan.unserved}
-        for cell in plan.cells:
-            found |= self.power_change(cell).broken
-        return found
+    def keeps(self, cell_id: int, name: str) -> bool:
+        """Whether a UAV that is told nothing new serves a device from now on at every moment."""
+        radio = self.flying.get(cell_id)
+        if radio is None or radio.told is None or not (name in radio.power_w and name in radio.told.power_w):
+            return False
+        told = radio.told
+        first, last = self._window(name, radio, told.power_w[name], told.goal)
+        way_m = math.dist(radio.place, told.goal)
+        change = 1.0 - told.within_m / way_m if told.within_m and way_m > told.within_m else 0.0
+        return self._is_served(radio, name) and first <= change <= last
+
+    def _is_served(self, radio: Radio, name: str) -> bool:
+        return math.dist(radio.place, self._place(name)) ** 2 <= self._reach2(name, radio.power_w[name])
 
     def _window(self, name: str, radio: Radio, power_w: float, goal: Place) -> tuple[float, float]:
         """Shares of the way between which the powers have to change for this device's sake."""
@@ -144,11 +180,11 @@ class Continuity:
         return 1.0 - _way_in_reach(goal, radio.place, u, self._reach2(name, power_w)), last
 
     def _place(self, name: str) -> Place:
-        return (*self._demands.places[self._demands.index[name]], 0.0)
+        return (*self.demands.places[self.demands.index[name]], 0.0)
 
     def _reach2(self, name: str, power_w: float) -> float:
         """Squared distance up to which a power meets a device's demand [m^2], equation (5)."""
-        reach2 = power_w * self._link.eta / self._demands.snr_demand[self._demands.index[name]]
+        reach2 = power_w * self._link.eta / self.demands.snr_demand[self.demands.index[name]]
         return reach2 * (1 + RELATIVE_TOLERANCE)
 
 

@@ -16,6 +16,9 @@ from jpap_ros.planning.link_budget import Floats, LinkBudget, snr_demand
 from jpap_ros.planning.replanning_rules import POWER_RULES, PowerRule
 from jpap_ros.planning.solver import validate
 
+#: See `Limits`.
+HOLD_FACTOR = 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class Demands:
@@ -78,6 +81,9 @@ class Limits:
     max_devices_per_uav : int or None
     max_uavs : int or None
     min_separation_m : float
+    hold_factor : float
+        When a UAV is to leave devices to another one that does not serve them yet, and may serve others instead that
+        nobody serves: it waits as long as this times the weight of those is at least the weight of the others.
     """
 
     scheme: str = "jpap"
@@ -85,8 +91,11 @@ class Limits:
     max_devices_per_uav: int | None = None
     max_uavs: int | None = None
     min_separation_m: float = 0.0
+    hold_factor: float = HOLD_FACTOR
 
     def __post_init__(self) -> None:
+        if not 0 <= self.hold_factor < math.inf:
+            raise ValueError(f"hold_factor must be finite and >= 0, got {self.hold_factor!r}")
         if self.scheme not in POWER_RULES:
             raise ValueError(f"scheme must be one of {', '.join(POWER_RULES)}, got {self.scheme!r}")
         validate([], [], self.link, self.max_devices_per_uav, self.max_uavs, None, self.min_separation_m, None, 0)
