@@ -35,9 +35,11 @@ from jpap_ros.planning.link_budget import Floats, LinkBudget, snr_demand
 #: The position found gives at most this much less than the best one [bit/s/Hz].
 RATE_TOLERANCE = 9e-4
 #: A climb ends when a step is shorter than this part of the altitude: a local optimum to far below RATE_TOLERANCE.
-STEP_TOLERANCE = 2e-7
+STEP_TOLERANCE = 2e-5
 #: Most steps of one climb. It only costs time where a climb ends early: the branch and bound still decides.
 MAX_STEPS = 60
+#: Radii that are tried to find how far round a local optimum nothing is better.
+SETTLING_ATTEMPTS = 3
 #: Side of a box, in parts of the altitude, below which the rate hardly varies within it.
 SMALL_BOX = 0.25
 #: Most circles whose constraint enters the bound of one box.
@@ -45,6 +47,8 @@ MAX_MULTIPLIERS = 4
 
 #: West, east, south and north side [m].
 Box = tuple[float, float, float, float]
+#: weight, (wx, wy) and (hxx, hxy, hyy): the rate's gradient is -2 (wx, wy), its Hessian -2 (weight I - h).
+Slopes = tuple[float, float, float, float, float, float]
 
 
 def best_position(positions: ArrayLike, rates: ArrayLike, allocation: Allocation, link: LinkBudget) -> Floats | None:
@@ -188,78 +192,120 @@ class _Cell:
         better = self.value(there, 0.0) > self.value(here, 0.0) + self.tolerance - slack
         return there if better else here, 0.0
 
+    def slopes(self, x: float, y: float) -> Slopes:
+        """First and second derivatives of the rate at (x, y)."""
+        height2 = self.height2
+        weight = wx = wy = hxx = hxy = hyy = 0.0
+        for u, v, c, _ in self.devices:
+            dx, dy = x - u, y - v
+            q = dx * dx + dy * dy + height2
+            slope = c / (q * (q + c))
+            weight += slope
+            wx += slope * dx
+            wy += slope * dy
+            bend = 2 * slope * (1 / q + 1 / (q + c))
+            hxx += bend * dx * dx
+            hxy += bend * dx * dy
+            hyy += bend * dy * dy
+        return weight, wx, wy, hxx, hxy, hyy
+
     def climb(self, x: float, y: float) -> tuple[float, float, float]:
         """The local optimum reached from (x, y), and its `settled_radius`; 0 where the climb ended early."""
-        height2 = self.height2
+        rate = self.value(x, y)
         for _ in range(MAX_STEPS):
-            weight = wx = wy = hxx = hxy = hyy = 0.0
-            for u, v, c, _ in self.devices:
-                dx, dy = x - u, y - v
-                q = dx * dx + dy * dy + height2
-                slope = c / (q * (q + c))
-                weight += slope
-                wx += slope * dx
-                wy += slope * dy
-                bend = 2 * slope * (1 / q + 1 / (q + c))
-                hxx += bend * dx * dx
-                hxy += bend * dx * dy
-                hyy += bend * dy * dy
-            # Maximum of the tangent bound; its gradient is -2 (wx, wy), its curvature -2 weight.
-            sx, sy = -wx / weight, -wy / weight
-            feasible = nearest_common_point(x + sx, y + sy, self.xs, self.ys, self.squared_radii)
-            if feasible is None:
+            slopes = self.slopes(x, y)
+            step = self.newton_step(x, y, rate, slopes) or self.gradient_step(x, y, rate, slopes)
+            if step is None:
                 break
-            tx, ty = feasible
-            if (tx, ty) == (x + sx, y + sy):
-                # Away from the circles: Newton's step, where the rate is concave and it leads higher.
-                a, b = weight - hxx, weight - hyy
-                det = a * b - hxy * hxy
-                if det > 0 and a > 0:
-                    nx, ny = x - (b * wx + hxy * wy) / det, y - (a * wy + hxy * wx) / det
-                    if self.covers(nx, ny) and self.value(nx, ny) >= self.value(tx, ty):
-                        tx, ty = nx, ny
+            tx, ty, rate = step
             step2 = (tx - x) ** 2 + (ty - y) ** 2
             x, y = tx, ty
             if step2 <= self.step2:
-                mean, half = weight - (hxx + hyy) / 2, (hxx - hyy) / 2
-                curvature = 2 * (mean - math.sqrt(half * half + hxy * hxy))
-                # There, (sx, sy) is the sum of m_k (v - u_k) over the circles on which v lies, with m_k >= 0. The
-                # multipliers of the Lagrange function are weight m_k and add twice their sum to its curvature; as no
-                # |v - u_k| exceeds the largest radius, the sum of m_k is at least |(sx, sy)| over that radius.
-                if self.largest2 > 0:
-                    curvature += 2 * weight * math.sqrt((sx * sx + sy * sy) / self.largest2)
-                return x, y, self.settled_radius(x, y, curvature)
+                return x, y, self.settled_radius(x, y, slopes)
         return x, y, 0.0
 
-    def settled_radius(self, x: float, y: float, curvature: float) -> float:
-        """A radius round a local optimum in which no feasible position is better by more than the tolerance.
+    def newton_step(self, x: float, y: float, rate: float, slopes: Slopes) -> tuple[float, float, float] | None:
+        """Newton's step to a position and its rate; None where it is not sure to gain what the tangent bound does."""
+        weight, wx, wy, hxx, hxy, hyy = slopes
+        a, b = weight - hxx, weight - hyy
+        det = a * b - hxy * hxy
+        if det <= 0 or a <= 0:
+            return None
+        x, y = x - (b * wx + hxy * wy) / det, y - (a * wy + hxy * wx) / det
+        if not self.covers(x, y):
+            return None
+        there = self.value(x, y)
+        return (x, y, there) if there >= rate + (wx * wx + wy * wy) / weight else None
 
-        `curvature` is the least one, in any direction, with which the Lagrange function falls off there. The third
-        derivative of log(|v - u|^2 + h^2) in any direction is at most 4 / (|v - u|^2 + h^2)^1.5, and their sum G bounds
-        that of the rate. At a distance d the rate is therefore larger by at most G d^3 / 6 - curvature d^2 / 2.
+    def gradient_step(self, x: float, y: float, rate: float, slopes: Slopes) -> tuple[float, float, float] | None:
+        """A step to the feasible position, and its rate, where a round parabola tangent to the rate is highest.
+
+        With the rate's own curvature across its slope, it is Newton's step along a circle that the slope pushes
+        against. With the curvature of the tangent bound, it always leads higher.
         """
+        weight, wx, wy, hxx, hxy, hyy = slopes
+        slope2 = wx * wx + wy * wy
+        across = weight - (wy * wy * hxx - 2 * wx * wy * hxy + wx * wx * hyy) / slope2 if slope2 > 0 else weight
+        for curvature in (across, weight) if across > 0 else (weight,):
+            sx, sy = -wx / curvature, -wy / curvature
+            feasible = nearest_common_point(x + sx, y + sy, self.xs, self.ys, self.squared_radii)
+            if feasible is None:
+                continue
+            dx, dy = feasible[0] - x, feasible[1] - y
+            gain = curvature * (2 * (sx * dx + sy * dy) - dx * dx - dy * dy)
+            there = self.value(*feasible)
+            if there >= rate + gain / 2 or curvature == weight:
+                return *feasible, there
+        return None
+
+    def settled_radius(self, x: float, y: float, slopes: Slopes) -> float:
+        """A radius round a local optimum in which no feasible position is better.
+
+        Up to a distance R, a way d changes the rate by at most g . d - curvature |d|^2 / 2 + G |d|^3 / 6:
+
+        * The gradient g is a sum of m_k (v - u_k) over the circles on which v lies, with m_k >= 0. A feasible d has
+          2 (v - u_k) . d <= -|d|^2 for each of them, and no |v - u_k| exceeds the largest radius r; hence
+          g . d <= -|g| |d|^2 / (2 r). As |g . d| <= |g| R, also g . d <= -(g . d)^2 / (|g| R). Half of each is taken:
+          the first adds |g| / (2 r) to the curvature in all directions, the second |g| / R to that along g.
+        * The third derivative of log(|v - u|^2 + h^2) in any direction is at most 4 / (|v - u|^2 + h^2)^1.5. G sums
+          that up: 7/8 of its bound within R / 2, as much as the nearer half counts, and 1/8 of that within R.
+
+        With the least curvature c of all directions, nothing is better up to 3 c / G.
+        """
+        weight, wx, wy, hxx, hxy, hyy = slopes
+        slope = math.sqrt(wx * wx + wy * wy)
+        nx, ny = (wx / slope, wy / slope) if slope > 0 else (0.0, 0.0)
+        bent = weight + (slope / (2 * math.sqrt(self.largest2)) if self.largest2 > 0 else 0.0)
+        radius, settled = math.sqrt(self.height2), 0.0
+        for _ in range(SETTLING_ATTEMPTS):
+            inward = slope / radius
+            a, b, mixed = bent - hxx + inward * nx * nx, bent - hyy + inward * ny * ny, inward * nx * ny - hxy
+            curvature = a + b - math.sqrt((a - b) ** 2 + 4 * mixed * mixed)
+            growth = 7 / 8 * self.largest_growth(x, y, radius / 2) + self.largest_growth(x, y, radius) / 8
+            settled = max(settled, min(radius, 3 * curvature / growth))
+            if settled == radius:
+                break
+            radius = (radius + settled) / 2
+        return settled
+
+    def largest_growth(self, x: float, y: float, radius: float) -> float:
+        """Bound of the third derivative of the rate, in any direction, within a radius of (x, y)."""
         height2 = self.height2
-        radius = math.sqrt(height2)
-        for _attempt in range(6):
-            growth = 0.0
-            for u, v, c, _ in self.devices:
-                apart = math.sqrt((x - u) ** 2 + (y - v) ** 2) - radius
-                q = apart * apart + height2 if apart > 0 else height2
-                growth += 4 / (q * math.sqrt(q)) + 4 / ((q + c) * math.sqrt(q + c))
-            if radius * radius * (radius * growth / 3 - curvature) <= 2 * self.tolerance:
-                return radius
-            radius *= 0.7
-        return 0.0
+        growth = 0.0
+        for u, v, c, _ in self.devices:
+            apart = math.sqrt((x - u) ** 2 + (y - v) ** 2) - radius
+            q = apart * apart + height2 if apart > 0 else height2
+            growth += 4 / (q * math.sqrt(q)) + 4 / ((q + c) * math.sqrt(q + c))
+        return growth
 
     def improve(self, x: float, y: float, radius: float) -> tuple[float, float]:
         """Branch and bound: a position to which none is better by more than the tolerance."""
         target = self.value(x, y) + self.tolerance
         cx, cy, settled2 = x, y, radius * radius
-        roots = [math.sqrt(r2) for r2 in self.squared_radii]
-        west = max(min(self.xs), max(u - r for u, r in zip(self.xs, roots, strict=True)))
-        east = min(max(self.xs), min(u + r for u, r in zip(self.xs, roots, strict=True)))
-        south = max(min(self.ys), max(v - r for v, r in zip(self.ys, roots, strict=True)))
-        north = min(max(self.ys), min(v + r for v, r in zip(self.ys, roots, strict=True)))
+        west, east, south, north = min(self.xs), max(self.xs), min(self.ys), max(self.ys)
+        for u, v, _, r2 in self.devices:
+            r = math.sqrt(r2)
+            west, east, south, north = max(west, u - r), min(east, u + r), max(south, v - r), min(north, v + r)
         boxes: list[tuple[float, float, float, float, float, float, float]] = []
         # Cut out at once, what is settled leaves larger boxes than halving does that closes in on it.
         fresh = _cut_out((west, east, south, north), x, y, radius * math.sqrt(0.5))
