@@ -123,15 +123,15 @@ class _Candidates:
 
     def __init__(self, positions: NDArray[np.float64], indices: list[int]) -> None:
         self.indices = indices
-        self.points = positions[indices]
+        # Complex numbers: the distances from a position in one step.
+        self.points = positions[indices].view(np.complex128).ravel()
         self.left = len(indices)
 
     def pop_nearest(self, position: tuple[float, float]) -> int | None:
         """Take out the candidate with the shortest distance to a position; None if there is none left."""
         if not self.left:
             return None
-        offset = self.points - position
-        nearest = int(np.einsum("ij,ij->i", offset, offset).argmin())
+        nearest = int(np.abs(self.points - complex(*position)).argmin())
         self.points[nearest] = np.inf
         self.left -= 1
         return self.indices[nearest]
