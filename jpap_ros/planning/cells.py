@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -33,11 +34,12 @@ def deploy(
     uav_positions : (N, 2) array_like
         UAV positions [m].
     """
-    demand = problem.snr_demand
-    power = np.zeros(len(demand))
+    demand, link = problem.snr_demand, problem.link
+    power, radii = np.zeros(len(demand)), []
     for cell in cells:
-        power[cell] = allocation.powers(demand[cell], problem.link)
-    radii = [allocation.squared_radii(demand[cell], problem.link)[0] ** 0.5 for cell in cells]
+        strengths, squared_radii = allocation.split(demand[cell].tolist(), link.power_eta, link.altitude_m**2)
+        power[cell] = strengths
+        radii.append(math.sqrt(squared_radii[0]))
     return make_deployment(
         scheme,
         problem.positions,
@@ -45,7 +47,7 @@ def deploy(
         problem.link,
         cells,
         uav_positions,
-        power,
+        power / link.eta,
         unserved={},
         coverage_radius_m=radii if allocation.common_radius else None,
     )
