@@ -82,7 +82,7 @@ def nearest_common_point(
     """
     if min(squared_radii) < 0:
         return None
-    px, py, distance2 = x, y, -1.0
+    px, py, distance2 = x, y, 0.0
     basis: list[Disc] = []
     while True:
         worst, entering = 0.0, None
@@ -93,6 +93,10 @@ def nearest_common_point(
                 worst, entering = excess, disc
         if entering is None:
             return px, py
+        if not basis:
+            px, py = _nearest_on_circle(x, y, entering)
+            distance2, basis = (px - x) ** 2 + (py - y) ** 2, [entering]
+            continue
         best = math.inf
         candidates: list[tuple[tuple[Disc, ...], tuple[float, float]]] = []
         if (x - entering[0]) ** 2 + (y - entering[1]) ** 2 > entering[2]:
