@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from jpap_ros.planning.geometry import common_point, nearest_common_point, smallest_enclosing_circle
+from jpap_ros.planning.geometry import common_point, last_is_apart, nearest_common_point, smallest_enclosing_circle
 
 coordinate = st.floats(-500, 500).map(lambda x: round(x, 3))
 points = st.lists(st.tuples(coordinate, coordinate), min_size=1, max_size=9)
@@ -73,6 +73,34 @@ def test_against_a_generic_minimiser(corners: list[tuple[float, float]], data: s
         assert (((centres - found) ** 2).sum(axis=1) <= radii * (1 + 1e-9) + 1e-18).all()
     elif result.success:
         assert excess > -1e-6
+
+
+@pytest.mark.parametrize(
+    ("last", "r", "apart"),
+    [
+        # From (0, 0) with radius 10 and (30, 0) with radius 5: by the distance of the centres.
+        ((12, 0), 1.0, True),
+        ((12, 0), 2.0, True),  # reaches the first, not the second
+        ((12, 0), 13.0, False),
+        ((0, 0), 25.0, False),
+        ((0, 0), 24.99, True),
+        ((12, 0), None, True),  # the empty disc
+    ],
+)
+def test_a_disc_apart_from_one_of_the_others(last: tuple[float, float], r: float | None, apart: bool) -> None:
+    squared_radii = [100.0, 25.0, -1.0 if r is None else r * r]
+    assert last_is_apart([0.0, 30.0, last[0]], [0.0, 0.0, last[1]], squared_radii) == apart
+
+
+@given(points, st.lists(st.floats(0.0, 400.0), min_size=9, max_size=9))
+def test_discs_of_which_the_last_is_apart_share_no_point(
+    corners: list[tuple[float, float]], radii: list[float]
+) -> None:
+    centres, squared_radii = np.array(corners), np.square(radii[: len(corners)])
+    apart = last_is_apart(*centres.T.tolist(), squared_radii.tolist())
+    assert not apart or common_point(centres, squared_radii) is None
+    if len(corners) == 2:
+        assert apart == (common_point(centres, squared_radii) is None)
 
 
 @settings(max_examples=60, deadline=None)

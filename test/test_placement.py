@@ -123,10 +123,11 @@ def test_of_two_equal_optima_the_one_on_the_side_of_the_uav_is_taken(distance: f
 
 @settings(max_examples=100, deadline=None)
 @given(seed=st.integers(0, 10**6))
-@example(seed=148)  # found with the larger eigenvalue of the Hessian taken for the least curvature
-@example(seed=1450)  # found with a third of the growth
+@example(seed=463)  # found with the larger eigenvalue of the Hessian taken for the least curvature
+@example(seed=1258)  # found with a third of the growth
+@example(seed=861)  # found with four times the curvature along the gradient
 def test_nothing_is_better_within_the_settled_radius(seed: int) -> None:
-    """Oracle: 2000 positions drawn within it, and the rate of each by equation (3).
+    """Oracle: 2000 positions drawn within it, and 1000 next to the optimum, and the rate of each by equation (3).
 
     The coverage circles leave little room round a point drawn first: most of the optima lie on a circle.
     """
@@ -138,11 +139,12 @@ def test_nothing_is_better_within_the_settled_radius(seed: int) -> None:
     strengths = (power * LINK.eta).tolist()
     cell = _Cell(*points.T.tolist(), strengths, radii2.tolist(), LINK.altitude_m**2, (shared[0], shared[1]))
     x, y, radius = cell.climb(*cell.feasible)
-    distance, angle = radius * np.sqrt(draw.uniform(0, 1, 2000)), draw.uniform(0, 2 * math.pi, 2000)
+    distance = np.concatenate([radius * np.sqrt(draw.uniform(0, 1, 2000)), 10 ** draw.uniform(-4, 0, 1000)])
+    distance, angle = np.minimum(distance, radius), draw.uniform(0, 2 * math.pi, 3000)
     around = np.array([x, y]) + np.column_stack([distance * np.cos(angle), distance * np.sin(angle)])
     here = rate_at(np.array([[x, y]]), points, power, radii2, LINK)[0]
     assert here > -math.inf
-    assert (rate_at(around, points, power, radii2, LINK) <= here + TOLERANCE).all()
+    assert (rate_at(around, points, power, radii2, LINK) <= here + 1e-9).all()
 
 
 def test_a_far_device_pulls_the_uav_to_the_edge_of_its_radius() -> None:

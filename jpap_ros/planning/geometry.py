@@ -71,6 +71,17 @@ def deepest_common_point(
     return x, y
 
 
+def last_is_apart(xs: Sequence[float], ys: Sequence[float], squared_radii: Sequence[float]) -> bool:
+    """Whether the last disc shares no point with one of the others; quick, and enough to know that all share none."""
+    x, y, r2 = xs[-1], ys[-1], squared_radii[-1]
+    if min(squared_radii) < 0:
+        return True
+    return any(
+        (x - u) ** 2 + (y - v) ** 2 > (r2 + s2 + 2 * math.sqrt(r2 * s2)) * (1 + 2 * RELATIVE_TOLERANCE)
+        for u, v, s2 in zip(xs, ys, squared_radii, strict=True)
+    )
+
+
 def nearest_common_point(
     x: float, y: float, xs: Sequence[float], ys: Sequence[float], squared_radii: Sequence[float]
 ) -> tuple[float, float] | None:

@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from jpap_ros.planning.allocation import EPA, EPA_COMMON, QDPA, Allocation
 from jpap_ros.planning.cells import deploy
 from jpap_ros.planning.deployment import Deployment
+from jpap_ros.planning.geometry import last_is_apart
 from jpap_ros.planning.placement import place
 from jpap_ros.planning.solver import Problem
 
@@ -160,6 +161,8 @@ class _Cell:
             return False
         xs, ys, demand = [*self.xs, x], [*self.ys, y], [*self.demand, w]
         strengths, squared_radii = self.allocation.split(demand, self.power_eta, self.height2)
+        if last_is_apart(xs, ys, squared_radii):
+            return False
         position = place(xs, ys, strengths, squared_radii, self.height2, self.position)
         if position is None:
             return False

@@ -110,13 +110,13 @@ def place(
     # In a frame along the longest way from the first device, two devices (or any on one line) need boxes in one
     # dimension only; and coordinates far from the origin lose no digits.
     x0, y0 = xs[0], ys[0]
-    far2, ex, ey = max(((x - x0) ** 2 + (y - y0) ** 2, x - x0, y - y0) for x, y in zip(xs, ys, strict=True))
-    if far2 == 0:
+    ways = [(x - x0, y - y0) for x, y in zip(xs, ys, strict=True)]
+    length, ex, ey = max([(math.hypot(dx, dy), dx, dy) for dx, dy in ways])
+    if length == 0:
         return x0, y0
-    length = math.sqrt(far2)
     ex, ey = ex / length, ey / length
-    along = [(x - x0) * ex + (y - y0) * ey for x, y in zip(xs, ys, strict=True)]
-    across = [(y - y0) * ex - (x - x0) * ey for x, y in zip(xs, ys, strict=True)]
+    along = [dx * ex + dy * ey for dx, dy in ways]
+    across = [dy * ex - dx * ey for dx, dy in ways]
 
     px, py = feasible[0] - x0, feasible[1] - y0
     cell = _Cell(along, across, strengths, squared_radii, height2, (px * ex + py * ey, py * ex - px * ey))
