@@ -11,16 +11,20 @@ from hypothesis import strategies as st
 
 from jpap_ros.planning import LinkBudget, solve
 from jpap_ros.planning.allocation import EPA, EPA_COMMON, QDPA, Allocation
+from jpap_ros.planning.geometry import smallest_enclosing_circle
 from jpap_ros.planning.link_budget import snr_demand
-from jpap_ros.planning.placement import best_position
+from jpap_ros.planning.placement import best_position, place
 from jpap_ros.planning.reference import (
     Placer,
+    beta,
     drmp_position,
+    lagrange_multipliers,
     lagrange_position,
     literal_position,
+    pulls,
     reference_jpap,
     sum_rate,
-    tight_bound,
+    tau,
 )
 from jpap_ros.planning.solver import validate
 
@@ -30,9 +34,9 @@ H2 = LINK.altitude_m**2
 
 @given(tight=st.floats(0.01, 1e7), other=st.floats(0.01, 1e7))
 def test_the_bound_is_below_the_rate_and_tight(tight: float, other: float) -> None:
-    tau, beta = tight_bound(np.array(tight))
-    assert tau * math.log2(tight) + beta == pytest.approx(math.log2(1 + tight), rel=1e-9)
-    assert tau * math.log2(other) + beta <= math.log2(1 + other) + 1e-9
+    slope, offset = tau(np.array(tight)), beta(np.array(tight))
+    assert slope * math.log2(tight) + offset == pytest.approx(math.log2(1 + tight), rel=1e-9)
+    assert slope * math.log2(other) + offset <= math.log2(1 + other) + 1e-9
 
 
 @pytest.mark.parametrize("direction", [0.0, 0.7, 2.5])
@@ -87,6 +91,26 @@ def test_case_1_lagrange_method_finds_the_best_position(seed: int) -> None:
     best = best_position(points, rates, QDPA, LINK)
     assert best is not None
     assert found == pytest.approx(best, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_subgradient_method_converges_to_the_multipliers(seed: int) -> None:
+    """Oracle: the exact position, and the multipliers with which equations (21) and (22) hold there."""
+    draw = np.random.default_rng(seed)
+    points, power = draw.uniform(0, 70, (4, 2)), draw.uniform(1, 3, 4)
+    strengths = power * LINK.eta
+    radii2 = np.full(4, 1.1 * (smallest_enclosing_circle(points)[1]) ** 2)
+    assert radii2[0] < H2  # convex
+    start = points.mean(axis=0)
+    multipliers, position, steps = lagrange_multipliers(points, strengths, radii2, H2, start)
+    best = place(*points.T.tolist(), strengths.tolist(), radii2.tolist(), H2, (float(start[0]), float(start[1])))
+    ways = np.array(best) - points
+    binding = (ways**2).sum(axis=1) > radii2 * (1 - 1e-6)
+    expected = np.zeros(4)
+    expected[binding] = -pulls(points, strengths, H2, np.array(best)) @ ways @ np.linalg.pinv(ways[binding])
+    assert position == pytest.approx(best, abs=1e-3)
+    assert multipliers == pytest.approx(expected, abs=1e-3 * max(expected.max(), 1e-4))
+    assert steps < 100_000
 
 
 @pytest.mark.parametrize("rule", [QDPA, EPA], ids=lambda rule: rule.name)

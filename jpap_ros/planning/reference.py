@@ -1,6 +1,7 @@
 """The paper's own algorithms, taken literally: slow, readable, and what the fast ones are checked against.
 
-`lagrange_position` is the Lagrange method of equations (13) to (22), `outer_rates` the exhaustive search,
+`lagrange_position` is the Lagrange method of equations (13) to (22): the subgradient method for the multipliers, and
+for each of its steps the position where the Lagrange function is least. `outer_rates` is the exhaustive search,
 `literal_position` the DRMP algorithm made of both and nothing else, and `reference_jpap` the listing of section IV-C
 line by line. `drmp_position` is more than the text: it polishes what the grid found, to compare positions with.
 
@@ -14,9 +15,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter
+from numpy.typing import NDArray
 
 from jpap_ros.planning.allocation import Allocation
 from jpap_ros.planning.geometry import common_point, nearest_common_point
@@ -30,6 +33,10 @@ Placer = Callable[[Floats, Floats, Floats, float, Floats], Floats]
 
 #: What a grid of 1 m may miss of an optimum on the edge of the feasible region [bit/s/Hz], with room to spare.
 GRID_TOLERANCE = 0.05
+#: The subgradient method has converged, and equations (21) and (22) are solved, when the UAV moves by less than this
+#: [m]: the paper gives no tolerance.
+CONVERGED_M = 1e-6
+LN2 = math.log(2)
 
 
 def sum_rate(position: Floats, points: Floats, strengths: Floats, height2: float) -> float:
@@ -38,60 +45,106 @@ def sum_rate(position: Floats, points: Floats, strengths: Floats, height2: float
     return float(np.log2(1 + strengths / q).sum())
 
 
-def tight_bound(snr: Floats) -> tuple[Floats, Floats]:
-    """Tau and beta of the bound tau log2 z + beta <= log2(1 + z), which is tight at z = snr."""
-    tau = snr / (1 + snr)
-    return tau, np.log2(1 + snr) - tau * np.log2(snr)
+def tau(snr: Floats) -> Floats:
+    """Slope of the bound tau log2 z + beta <= log2(1 + z), which is tight at z = snr."""
+    found: Floats = snr / (1 + snr)
+    return found
 
 
-def lagrange_position(
+def beta(snr: Floats) -> Floats:
+    """Offset of the same bound."""
+    found: Floats = np.log2(1 + snr) - tau(snr) * np.log2(snr)
+    return found
+
+
+def pulls(points: Floats, strengths: Floats, height2: float, position: Floats) -> Floats:
+    """tau_k / (ln 2 q_k): how strongly each device pulls at the UAV."""
+    q = ((points - position) ** 2).sum(axis=1) + height2
+    found: Floats = tau(strengths / q) / (LN2 * q)
+    return found
+
+
+def least_lagrangian(
+    points: Floats, strengths: Floats, multipliers: Floats, height2: float, start: Floats, solved_m: float
+) -> Floats:
+    """The position where the Lagrange function is least for these multipliers, as the dual function (19a) asks.
+
+    There, equations (21) and (22) hold: sum_k (pull_k + lambda_k) (v - u_k) = 0. They are solved by fixed point, until
+    it moves by less than `solved_m`; the bound (13) is made tight again at each position.
+    """
+    position = start
+    while True:
+        weights = pulls(points, strengths, height2, position) + multipliers
+        moved: Floats = weights @ points / weights.sum()
+        if math.dist(position, moved) < solved_m:
+            return moved
+        position = moved
+
+
+def lagrange_multipliers(
     points: Floats,
     strengths: Floats,
     squared_radii: Floats,
     height2: float,
     start: Floats,
+    iterations: int = 100_000,
+    tolerance_m: float = CONVERGED_M,
+    solved_m: float = CONVERGED_M,
     step: float = 0.05,
-    iterations: int = 1000,
-    tolerance_m: float = 0.0,
-) -> Floats:
-    """The Lagrange method: problem P4 with the multipliers found by the subgradient method (20).
+) -> tuple[Floats, Floats, int]:
+    """Problem P4D by the subgradient method (20).
 
     Parameters
     ----------
     points, strengths, squared_radii, height2, start
-        See `Placer`. The discs must share a point.
-    step : float
-        epsilon_lambda of equation (20), relative to tau / (ln 2 q d^2) of its device, which makes it a pure number.
+        See `Placer`.
     iterations : int
-        Most steps of the subgradient method. The bound (13) is made tight again at each.
+        Most steps of the subgradient method.
     tolerance_m : float
-        A step that moves the position by no more than this [m] is the last; by default all are taken, as the method
-        need not converge where the problem is not convex.
+        A step that moves the position by less than this [m] is the last.
+    solved_m : float
+        See `least_lagrangian`; infinity lets it take one step for each of the subgradient method.
+    step : float
+        epsilon_lambda of equation (20), relative to the largest pull without multipliers over d^2, which makes it a
+        pure number.
+
+    Returns
+    -------
+    multipliers : (n,) float
+        lambda_k.
+    position : (2,) float
+        The position that belongs to them.
+    steps : int
+        Steps that were taken.
+    """
+    multipliers = np.zeros(len(points))
+    position = least_lagrangian(points, strengths, multipliers, height2, start, solved_m)
+    epsilon = step * pulls(points, strengths, height2, position).max() / np.maximum(squared_radii, height2)
+    steps = 0
+    for steps in range(1, iterations + 1):  # noqa: B007 (its last value is returned)
+        excess = ((points - position) ** 2).sum(axis=1) - squared_radii
+        multipliers = np.maximum(multipliers + epsilon * excess, 0)
+        before = position
+        position = least_lagrangian(points, strengths, multipliers, height2, position, solved_m)
+        if math.dist(before, position) < tolerance_m:
+            break
+    return multipliers, position, steps
+
+
+def lagrange_position(
+    points: Floats, strengths: Floats, squared_radii: Floats, height2: float, start: Floats, **subgradient: Any
+) -> Floats:
+    """The Lagrange method for problem P4; see `lagrange_multipliers`. The discs must share a point.
 
     Returns
     -------
     (2,) float
-        The feasible position nearest to the last iterate.
+        The feasible position nearest to that of the last multipliers.
     """
-    position = start.astype(float)
-    multipliers = np.zeros(len(points))
-    for _ in range(iterations):
-        q = ((points - position) ** 2).sum(axis=1) + height2
-        tau, _ = tight_bound(strengths / q)
-        # Equations (21) and (22): sum_k (tau_k / (ln 2 q_k) + lambda_k) (v - u_k) = 0, solved by fixed point.
-        pull = tau / (math.log(2) * q) + multipliers
-        before, position = position, pull @ points / pull.sum()
-        if math.dist(before, position) < tolerance_m:
-            break
-        excess = ((points - position) ** 2).sum(axis=1) - squared_radii
-        scale = pull.max() / np.maximum(squared_radii, height2)
-        multipliers = np.maximum(multipliers + step * scale * excess, 0)
+    _, position, _ = lagrange_multipliers(points, strengths, squared_radii, height2, start, **subgradient)
     (x, y), (xs, ys) = position.tolist(), points.T.tolist()
     nearest = nearest_common_point(x, y, xs, ys, squared_radii.tolist())
-    deepest = common_point(points, squared_radii)
-    if deepest is None:
-        raise ValueError("the discs must share a point")
-    return deepest if nearest is None else np.array(nearest)
+    return _deepest(points, squared_radii) if nearest is None else np.array(nearest)
 
 
 def outer_rates(
@@ -120,43 +173,37 @@ def outer_rates(
     return xs, ys, rate
 
 
-def literal_position(
-    points: Floats,
-    strengths: Floats,
-    squared_radii: Floats,
-    height2: float,
-    start: Floats,
-    iterations: int = 100_000,
-    tolerance_m: float = 1e-6,
-) -> Floats:
-    """The DRMP algorithm of section IV-B as it stands; see `Placer`.
+def peaks_of(rate: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of the grid's peaks that are worse than its best point by no more than `GRID_TOLERANCE`."""
+    i, j = np.nonzero(rate >= rate.max() - GRID_TOLERANCE)
+    around = np.pad(rate, 1, constant_values=-np.inf)
+    peak = np.all([rate[i, j] >= around[i + di, j + dj] for di in range(3) for dj in range(3)], axis=0)
+    return i[peak], j[peak]
 
-    The subgradient method runs until it converges, which the paper gives no tolerance for: until a step moves the UAV
-    by less than `tolerance_m`. Two devices more than 2 H apart have two best positions, and which of them is better by
-    a hair a grid cannot tell; so, of the peaks of the grid that are worse by no more than `GRID_TOLERANCE`, the outer
-    region gives the one nearest to the present position. Where no grid point lies in a region that is not empty, its
-    deepest point stands for it.
+
+def literal_position(
+    points: Floats, strengths: Floats, squared_radii: Floats, height2: float, start: Floats, **subgradient: Any
+) -> Floats:
+    """The DRMP algorithm of section IV-B as it stands; see `Placer`, and `lagrange_multipliers` for the options.
+
+    Two devices more than 2 H apart have two best positions, and which of them is better by a hair a grid cannot tell;
+    so, of the peaks of the grid that are worse by no more than `GRID_TOLERANCE`, the outer region gives the one
+    nearest to the present position. Where no grid point lies in a region that is not empty, its deepest point stands
+    for it.
     """
     if squared_radii.max() < height2:
-        return lagrange_position(
-            points, strengths, squared_radii, height2, start, iterations=iterations, tolerance_m=tolerance_m
-        )
+        return lagrange_position(points, strengths, squared_radii, height2, start, **subgradient)
     candidates = []
     inner, mean = np.minimum(squared_radii, height2), points.mean(axis=0)
     if common_point(points, inner) is not None:
-        candidates.append(
-            lagrange_position(points, strengths, inner, height2, mean, iterations=iterations, tolerance_m=tolerance_m)
-        )
+        candidates.append(lagrange_position(points, strengths, inner, height2, mean, **subgradient))
     xs, ys, rate = outer_rates(points, strengths, squared_radii, height2)
     if np.isfinite(rate.max()):
-        i, j = np.nonzero((rate == maximum_filter(rate, 3)) & (rate >= rate.max() - GRID_TOLERANCE))
+        i, j = peaks_of(rate)
         peaks = np.column_stack([xs[i], ys[j]])
         candidates.append(peaks[((peaks - start) ** 2).sum(axis=1).argmin()])
     if not candidates:
-        deepest = common_point(points, squared_radii)
-        if deepest is None:
-            raise ValueError("the discs must share a point")
-        return deepest
+        return _deepest(points, squared_radii)
     return max(candidates, key=lambda candidate: sum_rate(candidate, points, strengths, height2))
 
 
@@ -174,18 +221,27 @@ def drmp_position(
     best grid point and from the nearest one within `GRID_TOLERANCE` of it, and of all these positions that differ by
     less than the tolerance of `placement` the nearest is taken. `grid_step_m` is that of the exhaustive search [m].
     """
-    candidates = [lagrange_position(points, strengths, squared_radii, height2, start)]
+    polish = partial(lagrange_position, iterations=1000, tolerance_m=0.0, solved_m=math.inf)
+    candidates = [polish(points, strengths, squared_radii, height2, start)]
     if squared_radii.max() >= height2:
         inner = np.minimum(squared_radii, height2)
         if common_point(points, inner) is not None:
-            candidates.append(lagrange_position(points, strengths, inner, height2, points.mean(axis=0)))
+            candidates.append(polish(points, strengths, inner, height2, points.mean(axis=0)))
         xs, ys, rate = outer_rates(points, strengths, squared_radii, height2, grid_step_m)
         if np.isfinite(rate.max()):
             i, j = np.nonzero(rate >= rate.max() - GRID_TOLERANCE)
             good = np.column_stack([xs[i], ys[j]])
             for point in good[rate[i, j].argmax()], good[((good - start) ** 2).sum(axis=1).argmin()]:
-                candidates += [point, lagrange_position(points, strengths, squared_radii, height2, point)]
+                candidates += [point, polish(points, strengths, squared_radii, height2, point)]
     return nearest_of_the_best(candidates, points, strengths, height2, start)
+
+
+def _deepest(points: Floats, squared_radii: Floats) -> Floats:
+    """The point deepest in discs that share one."""
+    deepest = common_point(points, squared_radii)
+    if deepest is None:
+        raise ValueError("the discs must share a point")
+    return deepest
 
 
 def nearest_of_the_best(
