@@ -12,8 +12,8 @@ directions, hence maximised in closed form:
   finds it.
 
 The paper's cases are the same code here: where d_sv < H the rate is concave and the climb settles most of the region;
-where d_sv >= H the branch and bound is what its exhaustive search of the outer region stands for. Two devices, more
-than half of all placements at the paper's density, have their optimum in closed form (`_Cell.best_of_two`).
+where d_sv >= H the branch and bound is what its exhaustive search of the outer region stands for. Two devices have
+their optimum in closed form (`placement_of_two`).
 
 The best position lies in the bounding box of the devices: moved to the nearest point of their convex hull, a UAV
 comes closer to every one of them.
@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike
 from jpap_ros.planning.allocation import Allocation
 from jpap_ros.planning.geometry import RELATIVE_TOLERANCE, deepest_common_point, nearest_common_point
 from jpap_ros.planning.link_budget import Floats, LinkBudget, snr_demand
+from jpap_ros.planning.placement_of_two import best_of_two
 
 #: The position found gives at most this much less than the best one [bit/s/Hz].
 RATE_TOLERANCE = 9e-4
@@ -44,6 +45,7 @@ SETTLING_ATTEMPTS = 3
 SMALL_BOX = 0.25
 #: Most circles whose constraint enters the bound of one box.
 MAX_MULTIPLIERS = 4
+LN2 = math.log(2)
 
 #: West, east, south and north side [m].
 Box = tuple[float, float, float, float]
@@ -107,6 +109,10 @@ def place(
         return None
     if len(xs) == 1:
         return xs[0], ys[0]
+    if len(xs) == 2:
+        found = best_of_two(xs, ys, strengths, squared_radii, height2, feasible, RATE_TOLERANCE * LN2)
+        if found is not None:
+            return found
     # In a frame along the longest way from the first device, two devices (or any on one line) need boxes in one
     # dimension only; and coordinates far from the origin lose no digits.
     x0, y0 = xs[0], ys[0]
@@ -140,14 +146,12 @@ class _Cell:
         self.height2 = height2
         self.step2 = STEP_TOLERANCE**2 * height2
         self.small_side = SMALL_BOX * math.sqrt(height2)
-        self.tolerance = RATE_TOLERANCE * math.log(2)
+        self.tolerance = RATE_TOLERANCE * LN2
         self.largest2 = max(squared_radii)
         self.devices = list(zip(xs, ys, strengths, squared_radii, strict=True))
 
     def best(self) -> tuple[float, float]:
         """The best position."""
-        if len(self.devices) == 2 and (found := self.best_of_two()) is not None:
-            return found
         return self.improve(*self.climb(*self.feasible))
 
     def nearest(self, x: float, y: float) -> tuple[float, float]:
@@ -168,29 +172,6 @@ class _Cell:
                 total += math.log(product)
                 product = 1.0
         return total + math.log(product)
-
-    def best_of_two(self) -> tuple[float, float] | None:
-        """The best position of two devices in closed form; None at low SNR, where it is not good enough.
-
-        The rate of two devices is the sum of log(q_k + c_k) - log(q_k). Where c_k is so large that the first hardly
-        varies, the second decides, and the product q_1 q_2 is a quartic along the line of the two: least in its middle
-        where they are nearer than 2 H, else at two places as far from both ends. Of these, the one on the side of
-        the present position is the local optimum reached from there.
-        """
-        (u1, _, c1, r1), (u2, _, c2, r2) = self.devices
-        west, east = max(u1, u2 - math.sqrt(r2)), min(u2, u1 + math.sqrt(r1))
-        span2, weakest = (u2 - u1) ** 2, min(c1, c2)
-        # Between the two, neither log(q_k + c_k) varies by more than span2 / c_k.
-        if west > east or 2 * span2 > self.tolerance / 4 * weakest:
-            return None
-        slack = 2 * span2 / weakest
-        middle, quarter = (u1 + u2) / 2, span2 / 4 - self.height2
-        off = math.sqrt(quarter) if quarter > 0 else 0.0
-        if self.feasible[0] > middle:
-            off = -off
-        here, there = min(max(middle - off, west), east), min(max(middle + off, west), east)
-        better = self.value(there, 0.0) > self.value(here, 0.0) + self.tolerance - slack
-        return there if better else here, 0.0
 
     def slopes(self, x: float, y: float) -> Slopes:
         """First and second derivatives of the rate at (x, y)."""
