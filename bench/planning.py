@@ -68,7 +68,7 @@ def slsqp_position(
 
 
 def thousand_steps(*cell: Any) -> np.ndarray:
-    """DRMP as it stands, with a fixed number of steps of the subgradient method: the paper gives none."""
+    """DRMP as it stands, with a fixed number of steps of the subgradient method; see `bench/listing.py`."""
     return literal_position(*cell, iterations=1000, tolerance_m=0.0)
 
 

@@ -173,23 +173,29 @@ def outer_rates(
     return xs, ys, rate
 
 
-def peaks_of(rate: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices of the grid's peaks that are worse than its best point by no more than `GRID_TOLERANCE`."""
-    i, j = np.nonzero(rate >= rate.max() - GRID_TOLERANCE)
+def peaks_of(rate: Floats, tolerance: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of the grid's peaks that are worse than its best point by no more than a tolerance."""
+    i, j = np.nonzero(rate >= rate.max() - tolerance)
     around = np.pad(rate, 1, constant_values=-np.inf)
     peak = np.all([rate[i, j] >= around[i + di, j + dj] for di in range(3) for dj in range(3)], axis=0)
     return i[peak], j[peak]
 
 
 def literal_position(
-    points: Floats, strengths: Floats, squared_radii: Floats, height2: float, start: Floats, **subgradient: Any
+    points: Floats,
+    strengths: Floats,
+    squared_radii: Floats,
+    height2: float,
+    start: Floats,
+    grid_tolerance: float = GRID_TOLERANCE,
+    **subgradient: Any,
 ) -> Floats:
-    """The DRMP algorithm of section IV-B as it stands; see `Placer`, and `lagrange_multipliers` for the options.
+    """The DRMP algorithm of section IV-B as it stands; see `Placer`, and `lagrange_multipliers` for its options.
 
     Two devices more than 2 H apart have two best positions, and which of them is better by a hair a grid cannot tell;
-    so, of the peaks of the grid that are worse by no more than `GRID_TOLERANCE`, the outer region gives the one
-    nearest to the present position. Where no grid point lies in a region that is not empty, its deepest point stands
-    for it.
+    so, of the peaks of the grid that are worse by no more than `grid_tolerance` [bit/s/Hz], the outer region gives the
+    one nearest to the present position. Where no grid point lies in a region that is not empty, its deepest point
+    stands for it.
     """
     if squared_radii.max() < height2:
         return lagrange_position(points, strengths, squared_radii, height2, start, **subgradient)
@@ -199,7 +205,7 @@ def literal_position(
         candidates.append(lagrange_position(points, strengths, inner, height2, mean, **subgradient))
     xs, ys, rate = outer_rates(points, strengths, squared_radii, height2)
     if np.isfinite(rate.max()):
-        i, j = peaks_of(rate)
+        i, j = peaks_of(rate, grid_tolerance)
         peaks = np.column_stack([xs[i], ys[j]])
         candidates.append(peaks[((peaks - start) ** 2).sum(axis=1).argmin()])
     if not candidates:
