@@ -161,6 +161,17 @@ def test_an_aircraft_goes_where_those_who_wait_for_it_weigh_too_much(count, fact
     assert len(plan.unserved) == (count if waits else 0)
 
 
+def test_those_who_wait_behind_one_another_count_together():
+    """u1 holds a for u2, and u3 holds c for u1, which weighs 2; d and e wait for u3, and so for u1 as well."""
+    devices = [*AB, Device("c", (2000.0, 0.0), RATE, 2.0), device("d", 5000), device("e", 5010)]
+    before = plan_of(devices, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"), ("u3", 2000, 0, "c"))
+    new = plan_of(devices, ("u1", 2050, 0, "c"), ("u2", 100, 0, "ab"), ("u3", 5000, 0, "de"))
+    fleet = [flying("u1", 0), flying("u2", 300), flying("u3", 2000)]
+    for factor, waiting, interrupted in ((0.5, set(), "ac"), (1.5, {"u3"}, "a"), (2.0, {"u1", "u3"}, "")):
+        plan = handed_over(before, new, fleet, replace(SETTINGS, hold_factor=factor))
+        assert plan.waiting.keys() == waiting and sorted(plan.interrupted) == list(interrupted), factor
+
+
 def test_in_a_ring_the_one_goes_whose_devices_weigh_least():
     """u1 and u2 exchange a and b, 2 km apart: one of them has to go first, and interrupts its device."""
     devices = [Device("a", (0.0, 0.0), RATE, 1.0), Device("b", (2000.0, 0.0), RATE, 3.0)]
@@ -211,12 +222,15 @@ def test_a_plan_from_scratch_pays_for_those_it_interrupts_from_where_the_aircraf
     assert weighed.adopted and not weighed.plan.interrupted
     (cell,) = weighed.plan.cells
     far = {craft.name: craft for craft in there} | {cell.uav: flying(cell.uav, 0, 1500)}
-    # The other one holds its device until this one is there; nobody can if it is lost.
-    weighed = weigh(full, devices, SETTINGS, list(far.values()), before, policy)
+    assert not weigh(full, devices, SETTINGS, list(far.values()), before, policy).adopted
+    # Where that costs nothing, the other one holds its device until this one is there; nobody can if it is lost.
+    free = replace(policy, interruption_cost=0.0)
+    weighed = weigh(full, devices, SETTINGS, list(far.values()), before, free)
     assert weighed.adopted and not weighed.plan.interrupted and len(weighed.plan.waiting) == 1
     other = "u2" if cell.uav == "u1" else "u1"
-    gone = replace(far[other], connected=False)
-    assert not weigh(full, devices, SETTINGS, [far[cell.uav], gone], before, policy).adopted
+    lost = replace(far[other], connected=False)
+    weighed = weigh(full, devices, SETTINGS, [far[cell.uav], lost], before, free)
+    assert weighed.adopted and len(weighed.plan.interrupted) == 1 and not weighed.plan.waiting
 
 
 def test_powers_that_wait_still_wait_after_a_plan_that_leaves_the_cell_alone():

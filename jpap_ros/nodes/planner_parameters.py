@@ -63,7 +63,7 @@ def planner_parameters() -> tuple[Param, ...]:
         Param(
             "interruption_cost",
             _POLICY.interruption_cost,
-            "Its cost for each weight interrupted or kept waiting",
+            "Its cost for each weight interrupted, held or kept waiting",
             0.0,
             1e6,
         ),

@@ -36,8 +36,8 @@ class Change:
         Sum of the distances that cells move [m].
     interrupted : mapping of str to str
         Devices whose demand was met and now is not guaranteed at every moment of the change, and why.
-    delayed : tuple of str
-        Devices that nobody serves now and that shall be served by a UAV that has to wait for others.
+    waits : tuple of str
+        Devices that nobody serves now and whose UAV has to wait for others, and those for whose sake it waits.
     """
 
     plan: LivePlan
@@ -45,7 +45,7 @@ class Change:
     ended: tuple[int, ...]
     moved_m: float
     interrupted: Mapping[str, str]
-    delayed: tuple[str, ...]
+    waits: tuple[str, ...]
 
 
 def replan(
@@ -128,7 +128,7 @@ def _compare(present: LivePlan, plan: LivePlan, limits: Limits, continuity: Cont
         ended=tuple(cell_id for cell_id in old if cell_id not in new),
         moved_m=math.fsum(math.dist(old[i].position, new[i].position) for i in old if i in new),
         interrupted=how.broken,
-        delayed=how.delayed,
+        waits=(*how.delayed, *how.holders),
     )
 
 

@@ -33,8 +33,8 @@ class ReplanningPolicy:
     launch_cost : float
         Cost of each UAV to be launched for a new cell, and of each to be sent home.
     interruption_cost : float
-        Cost of each unit of weight of devices whose guaranteed rate is interrupted on the way, or who wait longer for
-        theirs since others must not be.
+        Cost of each unit of weight of devices whose guaranteed rate is interrupted on the way; as well as of those who
+        are held by one UAV until another one has come, and of those who are kept waiting for that.
     tolerance : float
         What the gain must exceed the cost by: up to this much the plan in force is as good as a new one.
     """
@@ -118,8 +118,7 @@ def consider(
     rate = after / before - 1 if present.cells and plan.cells else 0.0
     served = _weight(present.unserved, demands) - _weight(plan.unserved, demands)
     launches = len({cell.id for cell in plan.cells} - {cell.id for cell in present.cells})
-    late = {*change.interrupted, *change.delayed} - plan.unserved.keys()
-    interrupted = _weight(sorted(late), demands)
+    interrupted = _weight(sorted({*change.interrupted, *change.waits} - plan.unserved.keys()), demands)
     gain = policy.uav_value * saved + policy.rate_value * rate + policy.unserved_value * served
     cost = (
         policy.metre_cost * change.moved_m
@@ -130,7 +129,7 @@ def consider(
     reason = (
         f"gain {gain:.3g} ({saved:+d} UAVs saved, rate {rate:+.1%}, served weight {served:+g}) against cost {cost:.3g}"
         f" ({change.moved_m:.0f} m flown, {launches} launched, {len(change.ended)} sent home, {interrupted:g} weight"
-        f" interrupted or kept waiting) and tolerance {policy.tolerance:g}"
+        f" interrupted, held or kept waiting) and tolerance {policy.tolerance:g}"
     )
     return Decision(adopt, change, gain, cost, reason)
 

@@ -55,10 +55,11 @@ def hand_over(continuity: Continuity, plan: LivePlan, min_separation_m: float, h
     Notes
     -----
     A UAV waits if it serves a device, and goes on to do so as it was told, that another one shall have and does not
-    reach yet; unless those whom it shall serve instead, and nobody serves now, weigh more than `hold_factor` times as
-    much. And it waits if its new goal is too near to that of a UAV that waits. Where they would wait for one another in
-    a ring for ever, the one goes whose devices to be handed over within the ring weigh least. Whomever they leave
-    without waiting is interrupted.
+    reach yet. And it waits if its new goal is too near to that of a UAV that waits. But it goes if those devices weigh
+    less than those, by `hold_factor`, that nobody serves meanwhile: whom it shall serve instead, and whom others shall
+    that wait for it, directly or behind one another. And where they would wait for one another in a ring for ever, the
+    one goes whose devices to be handed over within the ring weigh least. Whomever they leave without waiting is
+    interrupted.
 
     Nothing is remembered: who waits follows from what is transmitted now. So the same question, asked again when UAVs
     have come farther, says who may go then.
@@ -74,17 +75,13 @@ def hand_over(continuity: Continuity, plan: LivePlan, min_separation_m: float, h
         for name in late:
             if name in holder:
                 needs[holder[name]].setdefault(cell.id, []).append(name)
-    for cell in plan.cells:
-        unserved = [name for name in cell.device_ids if name not in continuity.guaranteed]
-        held = [name for names in needs.get(cell.id, {}).values() for name in names]
-        if held and _weight(unserved, continuity) > hold_factor * _weight(held, continuity):
-            needs[cell.id] = {}
     nodes = needs.keys() | changes.keys()
     blocked = {
         cell.id: {u for u in needs if u != cell.id and _too_near(continuity, u, cell, min_separation_m)}
         for cell in plan.cells
         if cell.id in nodes
     }
+    _let_go(needs, blocked, plan, continuity, hold_factor)
     _break_rings(needs, nodes, blocked, continuity)
     going = _unblocked({u for u in nodes if not needs.get(u)}, nodes, blocked)
     waits = {
@@ -155,6 +152,36 @@ def _unblocked(ready: set[int], pending: Collection[int], blocked: Mapping[int, 
     while stay := {u for u in ready if blocked.get(u, set()) & (set(pending) - ready)}:
         ready = ready - stay
     return ready
+
+
+def _let_go(
+    needs: Needs, blocked: Mapping[int, set[int]], plan: LivePlan, continuity: Continuity, hold_factor: float
+) -> None:
+    """Take needs away from those for whom devices wait that weigh more than what they hold, the worst first."""
+    unserved = {
+        cell.id: _weight([name for name in cell.device_ids if name not in continuity.guaranteed], continuity)
+        for cell in plan.cells
+    }
+    while True:
+        excess = {
+            u: math.fsum(unserved.get(w, 0.0) for w in _behind(u, needs, blocked))
+            - hold_factor * _weight([name for names in needs[u].values() for name in names], continuity)
+            for u in needs
+            if needs[u]
+        }
+        worst = max(excess, key=lambda u: (excess[u], -u), default=None)
+        if worst is None or excess[worst] <= 0:
+            return
+        needs[worst] = {}
+
+
+def _behind(first: int, needs: Needs, blocked: Mapping[int, set[int]]) -> set[int]:
+    """Who waits for a UAV, directly or behind one another, and itself."""
+    found, new = {first}, {first}
+    while new:
+        new = {u for u in needs.keys() - found if (needs[u].keys() | blocked.get(u, set())) & new}
+        found |= new
+    return found
 
 
 def _break_rings(needs: Needs, nodes: Collection[int], blocked: Mapping[int, set[int]], continuity: Continuity) -> None:
