@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
     [
         (
             "soak",
-            "--minutes 1 --warmup 90 --devices 10 --uavs 6",
+            "--minutes 5 --seeds 2 3",
             ["smallest change", "from scratch", "least separation"],
         ),
         (
