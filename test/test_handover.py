@@ -17,6 +17,7 @@ from jpap_ros.fleet.cells import Aircraft
 from jpap_ros.fleet.handover import handed_over, moved_on
 from jpap_ros.fleet.plan import full_deployment, named_plan, plan_change, plan_from_scratch, weigh, with_crew
 from jpap_ros.fleet.plan_settings import PlanSettings
+from jpap_ros.fleet.plan_store import StoredPlan
 from jpap_ros.planning.devices import Device
 from jpap_ros.planning.replanning_decision import ReplanningPolicy
 from jpap_ros.planning.replanning_state import LiveCell, LivePlan
@@ -212,6 +213,66 @@ def test_a_device_that_left_is_no_longer_told_of_and_one_that_moved_away_is_not_
     assert list(plan.unserved) == ["e"] and not plan.interrupted
 
 
+def test_whoever_has_a_device_waits_for_an_heir_that_would_reach_it_but_waits_itself():
+    """u3 reaches c from where it is, but holds a for u2 and has no power for c until it goes."""
+    devices = [*AB, device("c", -100)]
+    before = plan_of(devices, ("u1", -100, 0, "c"), ("u2", 100, 0, "b"), ("u3", 0, 0, "a"))
+    new = plan_of(devices, ("u1", -100, 0, ""), ("u2", 100, 0, "ab"), ("u3", -50, 0, "c"))
+    fleet = [flying("u1", -100), flying("u2", 300), flying("u3", 0)]
+    plan = handed_over(before, new, fleet, SETTINGS)
+    assert plan.waiting == {"u1": ("u3",), "u3": ("u2",)} and not plan.unserved and not plan.interrupted
+    assert listed(plan) == {"u1": "c", "u2": "b", "u3": "a"}
+    # They go together.
+    fleet[1] = flying("u2", 180)
+    plan = moved_on(plan, fleet, SETTINGS)
+    assert told(plan) == told(new) and not plan.unserved and not plan.interrupted
+
+
+def test_a_device_that_the_plan_leaves_out_is_not_called_unserved_while_one_that_waits_serves_it():
+    devices = [*AB, device("c", 20), device("e", 5000)]
+    before = plan_of(devices, ("u1", 0, 0, "ac"), ("u2", 100, 0, "b"))
+    new = plan_of(devices, ("u1", 5000, 0, "e"), ("u2", 100, 0, "ab"))
+    new = replace(new, live=replace(new.live, unserved={"c": "no UAV"}))
+    plan = handed_over(before, new, [flying("u1", 0), flying("u2", 300)], SETTINGS)
+    assert listed(plan)["u1"] == "ac" and list(plan.unserved) == ["e"]
+    plan = moved_on(plan, [flying("u1", 0), flying("u2", 180)], SETTINGS)
+    assert listed(plan) == {"u1": "e", "u2": "ab"} and plan.unserved == {"c": "no UAV"}
+
+
+def test_nobody_goes_on_with_more_power_than_there_is_now():
+    low = replace(SETTINGS, link=replace(LINK, transmit_power_dbm=37.0))
+    before = plan_of(AB, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
+    live = LivePlan((LiveCell(1, (100.0, 0.0), ("a", "b"), (2.5, 2.5)),), low.demands(AB), {}, 2, 1)
+    new = named_plan(live, low, [flying("u2", 100)], {1: "u2"})
+    plan = handed_over(before, new, [flying("u1", 0), flying("u2", 300)], low)
+    assert not plan.waiting and list(plan.interrupted) == ["a"]
+    assert all(sum(cell.power_w) <= low.link.transmit_power_w * (1 + 1e-9) for cell in plan.cells)
+
+
+@pytest.mark.parametrize("heir", [grounded("u2", 100), flying("u2", 300)])
+def test_who_is_left_at_last_is_named_though_the_heir_has_nothing_new_to_do(heir):
+    before = plan_of(AB, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
+    merged = plan_of(AB, ("u1", 0, 0, ""), ("u2", 100, 0, "ab"))
+    plan = handed_over(before, merged, [flying("u1", 0), heir], SETTINGS)
+    assert plan.waiting == {"u1": ("u2",)} and not plan.interrupted
+    new = plan_of([*AB, device("y", 2000), device("z", 2010)], ("u1", 2000, 0, "yz"), ("u2", 100, 0, "ab"))
+    for _ in range(2):
+        plan = handed_over(plan, new, [flying("u1", 0), heir], SETTINGS)
+        assert not plan.waiting and list(plan.interrupted) == ["a"]
+
+
+def test_a_restored_plan_gives_nobody_a_second_cell():
+    """u1 holds a for u2, and the cell of q has nobody."""
+    devices = [*AB, device("q", 3000)]
+    before = plan_of(devices, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"), ("u4", 3000, 0, "q"))
+    new = plan_of(devices, ("u1", 0, 0, ""), ("u2", 100, 0, "ab"), ("u4", 3000, 0, "q"))
+    fleet = [flying("u1", 0), flying("u2", 300), flying("u4", 3000)]
+    plan = with_crew(handed_over(before, new, fleet, SETTINGS), {0: "u1", 1: "u2"})
+    waiting = tuple(cell for cell in plan.cells if cell not in plan.target)
+    stored = StoredPlan(1, tuple(devices), SETTINGS, plan.live, plan.names, told=waiting)
+    assert stored.plan(fleet).names == {0: "u1", 1: "u2"}
+
+
 def test_a_plan_from_scratch_pays_for_those_it_interrupts_from_where_the_aircraft_are():
     devices = [device("a", 0), device("b", 100)]
     before = plan_of(devices, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
@@ -271,6 +332,7 @@ class World:
         names, kind = list(self.devices), self.rng.choice(["join", "join", "leave", "move", "launch", "loss", "weigh"])
         name = self.rng.choice(names) if names else None
         if kind == "join" or name is None:
+            kind = "join"
             self.join()
         elif kind == "leave":
             del self.devices[name]
@@ -299,6 +361,8 @@ class World:
     def publish(self, plan):
         """What each radio and each autopilot makes of a plan."""
         self.plan = plan
+        # Each device is in one cell, or unserved.
+        assert sorted([name for cell in plan.cells for name in cell.served] + [*plan.unserved]) == sorted(self.devices)
         # Whoever is in the air is never sent too near to where another one waits.
         goals = [cell.position for cell in plan.cells if cell.uav in self.up - self.lost]
         apart = [math.dist(a, b) for a, b in itertools.combinations(goals, 2)]
@@ -320,7 +384,7 @@ class World:
         if (plan := moved_on(self.plan, self.aircraft(), self.settings)) is None:
             return set()
         self.publish(plan)
-        return plan.interrupted.keys() | plan.unserved.keys()
+        return plan.interrupted.keys() | plan.live.unserved.keys()
 
     def obey(self):
         for uav, (within_m, powers) in list(self.waiting.items()):
@@ -373,7 +437,7 @@ def test_who_is_served_and_not_named_stays_served_until_the_next_plan(seed, min_
             plan = plan_change(devices, planning, fleet, old)
         plan = handed_over(old, plan, fleet, planning)
         world.publish(plan)
-        safe = before - plan.interrupted.keys() - plan.unserved.keys()
+        safe = before - plan.interrupted.keys() - plan.live.unserved.keys()
         for step in range(int(world.rng.integers(1, 400))):
             short = safe - world.served(-margin)
             assert not short, f"{short} lost the rate after {kind}"

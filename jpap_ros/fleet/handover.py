@@ -103,7 +103,7 @@ def handed_over(
                 told = replace(told, apply_within_m=old.apply_within_m, power_until_w=old.power_until_w)
             cells.append(replace(told, id=cell.id, waits_for=waits_for))
             if radio is None:
-                unheard |= set(cell.device_ids)
+                unheard |= set(old.served)
             if radio is None or radio.place != _goal(old, link):
                 on_old_way |= set(told.device_ids)
         else:
@@ -124,7 +124,9 @@ def handed_over(
             replace(cell, elsewhere=frozenset(name for name in cell.device_ids if owner.get(name) != cell.id))
             for cell in cells
         ),
-        unserved=dict(plan.live.unserved) | _waiting_devices(plan, owner, how, names),
+        # Whom the plan leaves out may still be served by one that waits.
+        unserved={name: why for name, why in plan.live.unserved.items() if name not in owner}
+        | _waiting_devices(plan, owner, how, names),
         interrupted=interrupted,
     )
 
@@ -195,6 +197,9 @@ def _radio(cell: FleetCell, place: Place, link: LinkBudget) -> Radio:
     goal = _goal(cell, link)
     powers = dict(zip(cell.device_ids, cell.power_w, strict=True))
     there = goal if math.dist(place, goal) <= HOVER_RADIUS_M else place
+    if math.fsum(cell.power_w) > link.transmit_power_w * (1 + RELATIVE_TOLERANCE):
+        # More than it may have now: it cannot be told that once more.
+        return Radio(there, powers if _applies(cell, place, link) else dict(cell.power_until_w))
     if _applies(cell, place, link):
         return Radio(there, powers, Told(goal, powers))
     return Radio(there, dict(cell.power_until_w), Told(goal, powers, cell.apply_within_m))

@@ -59,7 +59,9 @@ class StoredPlan:
     def plan(self, aircraft: Sequence[Aircraft]) -> FleetPlan:
         """Return the plan for a fleet; a cell whose aircraft is not in it any more has none."""
         known = {craft.name for craft in aircraft}
-        holders = {cell: name for cell, name in self.names.items() if name in known}
+        wanted = {cell.id for cell in self.live.cells}
+        # Whoever only goes on until others serve is not to be given a cell that has nobody.
+        holders = {cell: name for cell, name in self.names.items() if name in known and cell in wanted}
         held = [craft for craft in aircraft if craft.name in holders.values()]
         plan = named_plan(self.live, self.settings, held, holders)
         told = {cell.id: cell for cell in self.told if cell.uav in known}

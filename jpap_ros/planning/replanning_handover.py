@@ -81,6 +81,10 @@ def hand_over(continuity: Continuity, plan: LivePlan, min_separation_m: float, h
         for cell in plan.cells
         if cell.id in nodes
     }
+    shared = _shared(continuity, plan, holder, needs)
+    for u, heirs in shared.items():
+        # Whoever takes over as soon as it goes may go at the same time, but not later.
+        blocked[u] = blocked.get(u, set()) | heirs.keys()
     _let_go(needs, blocked, plan, continuity, hold_factor)
     _break_rings(needs, nodes, blocked, continuity)
     going = _unblocked({u for u in nodes if not needs.get(u)}, nodes, blocked)
@@ -90,6 +94,7 @@ def hand_over(continuity: Continuity, plan: LivePlan, min_separation_m: float, h
         if u not in going and continuity.flying[u].told is not None
     }
     holders = {name: u for u in waits for names in needs[u].values() for name in names}
+    holders |= {name: u for u in waits for v, names in shared.get(u, {}).items() if v not in going for name in names}
     return HandOver(
         changes,
         waits,
@@ -126,6 +131,16 @@ def _holders(continuity: Continuity, plan: LivePlan, told: Collection[int]) -> d
             cell = plan.cell_of.get(name)
             if cell is not None and cell.id != u and name not in found and continuity.keeps(u, name):
                 found[name] = u
+    return found
+
+
+def _shared(continuity: Continuity, plan: LivePlan, holder: Mapping[str, int], needs: Needs) -> Needs:
+    """Devices whose heir would serve them as soon as it goes, of each UAV that has them, by the heir's cell."""
+    found: Needs = {}
+    for name, u in holder.items():
+        heir = plan.cell_of[name].id
+        if heir in needs and name not in needs[u].get(heir, ()) and not continuity.keeps(heir, name):
+            found.setdefault(u, {}).setdefault(heir, []).append(name)
     return found
 
 
