@@ -287,7 +287,7 @@ class World:
             wanted = {cell.id for cell in self.plan.target}
             for cell in self.plan.cells:
                 goal = (*cell.position, SETTINGS.link.altitude_m)
-                stations[cell.id] = Station(goal, len(cell.device_ids), cell.id not in wanted)
+                stations[cell.id] = Station(goal, len(cell.device_ids), "" if cell.id in wanted else cell.uav)
         self.roster = self.life.step(self.now, [self._vehicle(craft) for craft in self.fleet.values()], stations)
         self.relieved += sum(" relieves " in event for event in self.roster.events)
         self.critical += sum("critical battery" in event for event in self.roster.events)

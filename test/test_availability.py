@@ -67,6 +67,34 @@ class World:
             )
 
 
+def test_who_holds_a_station_stays_and_nobody_else_is_sent_there():
+    life = FleetLife(POLICY)
+    fleet = [flying("a", THERE), flying("b", HERE), ground("c", 290.0)]
+    assert life.step(0.0, fleet, {5: Station(THERE)}).crew == {5: "a"}
+    held = {5: Station(THERE, held_by="a")}
+    # Not even after a plan that left the station out for a moment, nor when it is low on battery.
+    life.step(1.0, fleet, {})
+    for now_s, battery in ((2.0, 0.9), (30.0, 0.2)):
+        fleet[0] = flying("a", THERE, battery=battery)
+        roster = life.step(now_s, fleet, held)
+        assert roster.crew == {5: "a"} and not roster.reliefs and roster.goals == {"a": THERE}
+    fleet[0] = replace(fleet[0], battery=0.01)
+    roster = life.step(31.0, fleet, held)
+    assert not roster.crew and orders(roster)["a"] is Order.RETURN and not roster.uncrewed
+
+
+def test_a_relief_on_its_way_to_a_station_that_is_given_up_is_no_relief():
+    life = FleetLife(POLICY)
+    fleet = [flying("a", THERE), flying("b", HERE)]
+    assert life.step(0.0, fleet, {5: Station(THERE)}).crew == {5: "a"}
+    fleet[0] = flying("a", THERE, battery=0.2)
+    assert life.step(0.5, fleet, {5: Station(THERE)}).reliefs == {5: "b"}
+    above = (*THERE[:2], THERE[2] + POLICY.station_above_m)
+    fleet[1] = flying("b", above)
+    roster = life.step(1.0, fleet, {5: Station(THERE, held_by="a")})
+    assert roster.crew == {5: "a"} and not roster.reliefs
+
+
 def test_a_cell_is_crewed_launched_and_sent_home_when_it_ends():
     life = FleetLife(POLICY)
     fleet = [ground("a"), ground("b", 290.0)]

@@ -131,10 +131,10 @@ def test_who_waits_goes_once_the_other_serves():
     before = plan_of(AB, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
     merged = plan_of(AB, ("u1", 0, 0, ""), ("u2", 100, 0, "ab"))
     plan = handed_over(before, merged, [flying("u1", 0), flying("u2", 300)], SETTINGS)
-    assert moved_on(plan, [flying("u1", 0), flying("u2", 190)], SETTINGS) is None
-    done = moved_on(plan, [flying("u1", 0), flying("u2", 188)], SETTINGS)
+    assert moved_on(plan, plan, [flying("u1", 0), flying("u2", 190)], SETTINGS) is None
+    done = moved_on(plan, plan, [flying("u1", 0), flying("u2", 188)], SETTINGS)
     assert (told(done), listed(done), done.waiting) == ({"u2": ((100, 0), "ab")}, {"u2": "ab"}, {})
-    assert moved_on(done, [flying("u1", 0), flying("u2", 188)], SETTINGS) is None
+    assert moved_on(done, done, [flying("u1", 0), flying("u2", 188)], SETTINGS) is None
 
 
 def test_a_device_that_a_waiting_aircraft_has_no_time_for_is_unserved_until_it_goes():
@@ -145,7 +145,7 @@ def test_a_device_that_a_waiting_aircraft_has_no_time_for_is_unserved_until_it_g
     plan = handed_over(before, new, [flying("u1", 0), flying("u2", 300)], SETTINGS)
     assert told(plan) == {"u1": ((0, 0), "a"), "u2": ((100, 0), "ab")} and listed(plan) == {"u1": "a", "u2": "b"}
     assert plan.unserved == {"c": "u1 will serve it once it need not wait for u2"} and not plan.live.unserved
-    done = moved_on(plan, [flying("u1", 0), flying("u2", 180)], SETTINGS)
+    done = moved_on(plan, plan, [flying("u1", 0), flying("u2", 180)], SETTINGS)
     assert told(done) == {"u1": ((2000, 0), "c"), "u2": ((100, 0), "ab")} and not done.unserved
 
 
@@ -173,6 +173,18 @@ def test_those_who_wait_behind_one_another_count_together():
         assert plan.waiting.keys() == waiting and sorted(plan.interrupted) == list(interrupted), factor
 
 
+@pytest.mark.parametrize(("u9", "uav"), [([flying("u9", 0, 2500)], "u9"), ([], "u1")])
+def test_a_new_cell_goes_to_one_that_holds_nobody_if_there_is_one(u9, uav):
+    before = plan_of(AB, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
+    merged = plan_of(AB, ("u1", 0, 0, ""), ("u2", 100, 0, "ab"))
+    fleet = [flying("u1", 0), flying("u2", 300), *u9]
+    holding = handed_over(before, merged, fleet, SETTINGS)
+    assert holding.waiting == {"u1": ("u2",)}
+    after = plan_change([*AB, device("c", 0, 2000)], SETTINGS, fleet, holding)
+    assert next(cell.uav for cell in after.target if "c" in cell.device_ids) == uav
+    assert told(after)["u1"] == ((0, 0), "a") and not after.interrupted
+
+
 def test_in_a_ring_the_one_goes_whose_devices_weigh_least():
     """u1 and u2 exchange a and b, 2 km apart: one of them has to go first, and interrupts its device."""
     devices = [Device("a", (0.0, 0.0), RATE, 1.0), Device("b", (2000.0, 0.0), RATE, 3.0)]
@@ -181,7 +193,7 @@ def test_in_a_ring_the_one_goes_whose_devices_weigh_least():
     plan = handed_over(before, new, [flying("u1", 0), flying("u2", 2000)], SETTINGS)
     assert told(plan) == {"u1": ((2000, 0), "b"), "u2": ((2000, 0), "b")}
     assert plan.waiting == {"u2": ("u1",)} and list(plan.interrupted) == ["a"]
-    done = moved_on(plan, [flying("u1", 1900), flying("u2", 2000)], SETTINGS)
+    done = moved_on(plan, plan, [flying("u1", 1900), flying("u2", 2000)], SETTINGS)
     assert told(done) == told(new) and list(done.interrupted) == ["a"]
 
 
@@ -196,10 +208,10 @@ def test_nobody_is_sent_to_the_place_of_one_that_waits():
     assert plan.waiting.keys() == {"u1", "u3"} and not plan.interrupted
     assert told(plan)["u3"] == ((0, 1000), "c") and told(plan)["u1"] == ((0, 0), "a")
     fleet[1] = flying("u2", 100)
-    plan = moved_on(plan, fleet, settings)
+    plan = moved_on(plan, plan, fleet, settings)
     assert plan.waiting == {"u3": ("u1",)} and told(plan)["u1"] == ((0, 980), "c")
     fleet[0] = flying("u1", 0, 900)
-    plan = moved_on(plan, fleet, settings)
+    plan = moved_on(plan, plan, fleet, settings)
     assert told(plan) == told(new) and not plan.waiting and not plan.interrupted and not plan.unserved
 
 
@@ -224,7 +236,7 @@ def test_whoever_has_a_device_waits_for_an_heir_that_would_reach_it_but_waits_it
     assert listed(plan) == {"u1": "c", "u2": "b", "u3": "a"}
     # They go together.
     fleet[1] = flying("u2", 180)
-    plan = moved_on(plan, fleet, SETTINGS)
+    plan = moved_on(plan, plan, fleet, SETTINGS)
     assert told(plan) == told(new) and not plan.unserved and not plan.interrupted
 
 
@@ -235,7 +247,7 @@ def test_a_device_that_the_plan_leaves_out_is_not_called_unserved_while_one_that
     new = replace(new, live=replace(new.live, unserved={"c": "no UAV"}))
     plan = handed_over(before, new, [flying("u1", 0), flying("u2", 300)], SETTINGS)
     assert listed(plan)["u1"] == "ac" and list(plan.unserved) == ["e"]
-    plan = moved_on(plan, [flying("u1", 0), flying("u2", 180)], SETTINGS)
+    plan = moved_on(plan, plan, [flying("u1", 0), flying("u2", 180)], SETTINGS)
     assert listed(plan) == {"u1": "e", "u2": "ab"} and plan.unserved == {"c": "no UAV"}
 
 
@@ -381,7 +393,7 @@ class World:
 
     def let_go(self):
         """Tell anew what aircraft have come far enough for; return whom that interrupts."""
-        if (plan := moved_on(self.plan, self.aircraft(), self.settings)) is None:
+        if (plan := moved_on(self.plan, self.plan, self.aircraft(), self.settings)) is None:
             return set()
         self.publish(plan)
         return plan.interrupted.keys() | plan.live.unserved.keys()

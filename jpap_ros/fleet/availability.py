@@ -132,13 +132,13 @@ class Station:
         (east, north, up) of the goal [m].
     weight : float
         Which stations come first where aircraft are too few.
-    ending : bool
-        Whether it is given up soon: whoever is there stays, but nobody else is sent.
+    held_by : str
+        Aircraft that stays there until others serve, after which the station is given up: nobody else is sent there.
     """
 
     position: tuple[float, float, float]
     weight: float = 1.0
-    ending: bool = False
+    held_by: str = ""
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ class FleetLife:
             reliefs=dict(self._reliefs),
             goals=goals,
             actions=self._actions(now_s, fleet),
-            uncrewed=tuple(cell for cell in stations if cell not in self._crew and not stations[cell].ending),
+            uncrewed=tuple(cell for cell in stations if cell not in self._crew and not stations[cell].held_by),
             usable=len(self._crew) + len(free),
             free=tuple(vehicle.name for vehicle in free),
             reserves=tuple(vehicle.name for vehicle in free if not vehicle.in_air),
@@ -376,7 +376,7 @@ class FleetLife:
     def _hand_over(self, fleet: Mapping[str, Vehicle], stations: Mapping[int, Station]) -> None:
         """Change the roles of a tired aircraft and its relief once that one is in place."""
         for cell, relief in list(self._reliefs.items()):
-            if self._crew[cell] not in self._tired:
+            if self._crew[cell] not in self._tired or stations[cell].held_by:
                 del self._reliefs[cell]
             elif self._is_at(fleet[relief], self._waiting_place(stations[cell])):
                 self._events.append(f"{relief} relieves {self._crew[cell]}")
@@ -389,10 +389,14 @@ class FleetLife:
 
     def _fill(self, free: Sequence[Vehicle], stations: Mapping[int, Station]) -> None:
         """Give cells without an aircraft one of those that are free."""
+        names = {vehicle.name for vehicle in free}
+        held = {cell: station.held_by for cell, station in stations.items() if cell not in self._crew}
+        self._crew |= {cell: name for cell, name in held.items() if name in names}
+        free = [vehicle for vehicle in free if vehicle.name not in held.values()]
         places = {
             cell: station.position
             for cell, station in stations.items()
-            if cell not in self._crew and not station.ending
+            if cell not in self._crew and not station.held_by
         }
         weights = {cell: stations[cell].weight for cell in places}
         for cell, name in self._nearest(free, places, weights).items():
@@ -406,7 +410,7 @@ class FleetLife:
         places = {
             cell: self._waiting_place(stations[cell])
             for cell, name in self._crew.items()
-            if name in self._tired and cell not in self._reliefs and not stations[cell].ending
+            if name in self._tired and cell not in self._reliefs and not stations[cell].held_by
         }
         weights = {
             cell: 1.0 / (1.0 + self._endurance.left_s(now_s, name, fleet[name].battery, stations[cell].position))

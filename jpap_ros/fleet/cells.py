@@ -153,7 +153,7 @@ class FleetPlan:
     @property
     def waiting(self) -> dict[str, tuple[str, ...]]:
         """Aircraft that go on as they were told before, and whom they wait for."""
-        return {cell.uav: cell.waits_for for cell in self.cells if cell.waits_for}
+        return {cell.uav: cell.waits_for for cell in self.cells if cell.uav and cell.waits_for}
 
     @property
     def average_uav_rate(self) -> float:

@@ -131,13 +131,25 @@ def handed_over(
     )
 
 
-def moved_on(plan: FleetPlan, aircraft: Sequence[Aircraft], settings: PlanSettings) -> FleetPlan | None:
-    """Return the plan in force as it is to be told now that aircraft have come farther; None where nothing is new."""
-    if not plan.waiting:
+def moved_on(
+    told: FleetPlan, plan: FleetPlan, aircraft: Sequence[Aircraft], settings: PlanSettings
+) -> FleetPlan | None:
+    """Return the plan in force as it is to be told now that aircraft have come farther; None where nothing is new.
+
+    Parameters
+    ----------
+    told : FleetPlan
+        As it was told last.
+    plan : FleetPlan
+        The same with who flies it from now on.
+    aircraft, settings
+        As in `handed_over`.
+    """
+    if not told.waiting:
         return None
-    now = handed_over(plan, plan, aircraft, settings)
-    told, news = ({(cell.uav, bool(cell.waits_for), cell.elsewhere) for cell in p.cells} for p in (plan, now))
-    return now if news != told else None
+    now = handed_over(told, plan, aircraft, settings)
+    before, news = ({(cell.uav, bool(cell.waits_for), cell.elsewhere) for cell in p.cells} for p in (told, now))
+    return now if news != before else None
 
 
 def _owners(cells: Sequence[FleetCell], plan: FleetPlan, how: HandOver, link: LinkBudget) -> dict[str, int]:

@@ -202,6 +202,15 @@ def _lost_cells(present: FleetPlan, available: Sequence[Aircraft], demands: Dema
     return [cell.id for cell in orphans[max(len(available) - len(held), 0) :]]
 
 
+def _not_holding(available: Sequence[Aircraft], holders: Mapping[int, str], live: LivePlan) -> Sequence[Aircraft]:
+    """Those who are not at a cell that is no more, until others serve; all where the others are too few."""
+    wanted = {cell.id for cell in live.cells}
+    holding = {name for cell_id, name in holders.items() if cell_id not in wanted}
+    others = [craft for craft in available if craft.name not in holding]
+    heard = sum(craft.connected or craft.name in holders.values() for craft in others)
+    return others if heard >= len(live.cells) else available
+
+
 def named_plan(
     live: LivePlan,
     settings: PlanSettings,
@@ -237,7 +246,7 @@ def named_plan(
         )
         for k, cell in enumerate(live.cells)
     ]
-    named = name_cells(cells, available, holders, settings.assignment)
+    named = name_cells(cells, _not_holding(available, holders, live), holders, settings.assignment)
     return FleetPlan(
         cells=named,
         target=named,

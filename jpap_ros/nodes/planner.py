@@ -317,12 +317,12 @@ class PlannerNode(ManagedNode):
 
     def _let_go(self) -> None:
         """Tell the plan in force anew once aircraft that waited for others need not any more."""
-        plan = self._present()
-        if plan is None or self._in_work is not None or self._made_for is None:
+        told, plan = self._health.plan, self._present()
+        if told is None or plan is None or self._in_work is not None or self._made_for is None:
             return
         devices, settings = self._made_for
-        if (now := moved_on(plan, self._all_aircraft(), settings)) is not None:
-            gone = [name for name in plan.waiting if name not in now.waiting]
+        if (now := moved_on(told, plan, self._all_aircraft(), settings)) is not None:
+            gone = [name for name in told.waiting if name not in now.waiting]
             reason = f"{conversions.listed(gone)} waited for others, which serve now" if gone else "devices taken over"
             self._publish(now, reason, devices, settings, time.monotonic())
 
@@ -570,14 +570,16 @@ class PlannerNode(ManagedNode):
     ) -> None:
         health = self._health
         health.plan_id += 1
-        reliefs = {}
+        roster = None
         if self._keeper is not None:
             roster = self._keep_fleet(plan)
             plan = with_crew(plan, roster.crew)
-            reliefs = {name: roster.goals[name] for name in roster.reliefs.values()}
             reason = ", ".join([reason, *(event for event in roster.events if event not in reason)])
         # Against what the radios were last told, for who flies now and from where.
         plan = handed_over(health.plan, plan, self._all_aircraft(), settings)
+        above_m = settings.link.altitude_m + self._settings["station_above_m"]
+        waiting = roster.reliefs if roster is not None else {}
+        reliefs = {waiting[cell.id]: (*cell.position, above_m) for cell in plan.cells if cell.id in waiting}
         newly = plan.interrupted.keys() - (health.plan.interrupted if health.plan is not None else {})
         self._made_for = devices, settings
         # What anybody was told must survive a kill.

@@ -96,7 +96,8 @@ class FleetKeeper:
             wanted = {cell.id for cell in plan.target}
             for cell in plan.cells:
                 value = sum(weight.get(name, 0.0) for name in cell.device_ids)
-                stations[cell.id] = Station((*cell.position, altitude_m), value, cell.id not in wanted)
+                held_by = "" if cell.id in wanted else cell.uav
+                stations[cell.id] = Station((*cell.position, altitude_m), value, held_by)
         vehicles = [vehicle_of(name, states.get(name), name in self._sent_home) for name in self._uavs]
         roster = self._life.step(now_s, vehicles, stations)
         for action in roster.actions:
