@@ -37,7 +37,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import FleetConfig, LinkUrl, MapOrigin, UavConfig
 from jpap_ros.fleet.transit_plan import TransitLimits
-from jpap_ros.mavlink.aircraft import AircraftSettings
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal

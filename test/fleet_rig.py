@@ -17,7 +17,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import FleetConfig, LinkUrl, MapOrigin, UavConfig
-from jpap_ros.mavlink.aircraft import AircraftSettings
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder, OrderResult
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.mavlink.snapshot import AircraftSnapshot

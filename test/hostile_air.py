@@ -33,7 +33,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from udp_wire import UdpWire
 
 from jpap_ros.fleet.config import LinkUrl
-from jpap_ros.mavlink.aircraft import AircraftSettings
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.sim import VehicleOptions

@@ -15,7 +15,8 @@ from jpap_ros.fleet.config import MapOrigin, UavConfig
 from jpap_ros.fleet.fence import Fence
 from jpap_ros.fleet.traffic import Setpoint
 from jpap_ros.mavlink import procedures
-from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings
+from jpap_ros.mavlink.aircraft import Aircraft
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalState

@@ -35,7 +35,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from jpap_ros.fleet.config import LinkUrl
 from jpap_ros.fleet.fence import Fence
 from jpap_ros.fleet.transit_plan import TransitLimits
-from jpap_ros.mavlink.aircraft import AircraftSettings
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder, OrderResult
 from jpap_ros.mavlink.geodesy import LocalFrame

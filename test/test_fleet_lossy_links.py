@@ -16,7 +16,7 @@ from fleet_rig import ARM, PATIENCE_S, TAKEOFF, Rig, commands, distance, order, 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.transit_plan import TransitLimits
-from jpap_ros.mavlink.aircraft import AircraftSettings
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.commands import ORDER_ATTEMPTS, PROMPT_S
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetOrder
 from jpap_ros.mavlink.goals import Goal, GoalState

@@ -16,7 +16,7 @@ from fleet_rig import PATIENCE_S, Rig, order, until
 
 from jpap_ros.fleet.config import FleetConfig
 from jpap_ros.fleet.transit_plan import TransitLimits
-from jpap_ros.mavlink.aircraft import AircraftSettings
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.sim import SimFleet, VehicleOptions

@@ -17,7 +17,7 @@ import pytest
 from fleet_rig import Watch, distinct, order, setpoints
 
 from jpap_ros.fleet.config import FleetConfig, LinkUrl, MapOrigin, UavConfig
-from jpap_ros.mavlink.aircraft import AircraftSettings
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.sim import SimFleet

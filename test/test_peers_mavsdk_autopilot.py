@@ -20,7 +20,7 @@ from mavsdk.plugins.mavlink_direct_server.mavlink_direct_server import MavlinkDi
 from mavsdk.plugins.telemetry_server import telemetry_server as telemetry
 
 from jpap_ros.fleet.config import FleetConfig, LinkUrl, MapOrigin, UavConfig
-from jpap_ros.mavlink.aircraft import AircraftSettings
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.fleet_controller import ControllerSettings, FleetController, FleetOrder
 from jpap_ros.mavlink.goals import Goal
 

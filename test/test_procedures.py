@@ -14,7 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import MapOrigin, UavConfig
 from jpap_ros.mavlink import procedures
-from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings
+from jpap_ros.mavlink.aircraft import Aircraft
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.authority import Holder
 from jpap_ros.mavlink.commands import PROMPT_S
 from jpap_ros.mavlink.geodesy import LocalFrame

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -12,22 +12,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from jpap_ros.fleet.config import UavConfig
 from jpap_ros.fleet.fence import ROUNDING_M
 from jpap_ros.fleet.traffic import Setpoint, Traveller, Vector
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.authority import Authority, Holder
-from jpap_ros.mavlink.autopilots import (
-    REGISTRY,
-    AltitudeDatum,
-    Autopilot,
-    Target,
-    TargetError,
-    Transport,
-    by_heartbeat,
-)
+from jpap_ros.mavlink.autopilots import AltitudeDatum, Autopilot, Target, TargetError, Transport
 from jpap_ros.mavlink.coasting import coasting
 from jpap_ros.mavlink.commands import CommandChannel, Pending
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalLife, GoalState
 from jpap_ros.mavlink.guards import (
-    GoalLimits,
     GoalRefused,
     PlanDeadman,
     check_fence,
@@ -36,6 +28,8 @@ from jpap_ros.mavlink.guards import (
     echo_problem,
     target_of,
 )
+from jpap_ros.mavlink.identity import identify, mismatch
+from jpap_ros.mavlink.procedure_runner import Done, Procedure, ProcedureRunner
 from jpap_ros.mavlink.statistics import Traffic
 from jpap_ros.mavlink.steering import steers
 from jpap_ros.mavlink.streams import StreamRequests
@@ -55,73 +49,6 @@ ECHO_SETTLED_S = 3.0
 POSITION_GAP_S = 10.0
 #: The autopilot's words from this long before a takeover belong to it [s].
 WORDS_BEFORE_S = 5.0
-_MULTICOPTERS = frozenset(
-    {
-        mavlink.MAV_TYPE_QUADROTOR,
-        mavlink.MAV_TYPE_COAXIAL,
-        mavlink.MAV_TYPE_HELICOPTER,
-        mavlink.MAV_TYPE_HEXAROTOR,
-        mavlink.MAV_TYPE_OCTOROTOR,
-        mavlink.MAV_TYPE_TRICOPTER,
-        mavlink.MAV_TYPE_DODECAROTOR,
-        mavlink.MAV_TYPE_DECAROTOR,
-    }
-)
-
-#: A sequence of steps: yields whenever it has to wait, returns what was done, raises ProcedureFailed.
-Procedure = Generator[None, None, str]
-Done = Callable[[bool, str], None]
-
-
-class ProcedureFailed(Exception):
-    """A procedure ended without success; the message says why."""
-
-
-@dataclass(eq=False)
-class _Running:
-    """A procedure under way, and who waits for its outcome."""
-
-    procedure: Procedure
-    name: str
-    waiting: list[Done]
-    answer: str = ""
-
-    def end(self, success: bool, message: str) -> None:
-        waiting, self.waiting = self.waiting, []
-        for done in waiting:
-            done(success, message)
-
-
-@dataclass(frozen=True)
-class AircraftSettings:
-    """How aircraft are flown; the same for the whole fleet.
-
-    Attributes
-    ----------
-    setpoint_rate_hz : float
-        Position targets a second to one aircraft; raised to what its autopilot needs.
-    arrival_radius_m : float
-        Goal reached within this distance [m].
-    takeoff_height_m : float
-        Above home [m].
-    link_timeout_s : float
-        Lost after this long without a heartbeat [s].
-    ready_timeout_s : float
-        How long a launch waits for GPS, home and pre-arm checks [s].
-    transport : Transport
-    simulated_clock : bool
-        The aircraft are simulated, and may fly faster than the clock.
-    limits : GoalLimits
-    """
-
-    setpoint_rate_hz: float = 2.0
-    arrival_radius_m: float = 1.0
-    takeoff_height_m: float = 10.0
-    link_timeout_s: float = 4.0
-    ready_timeout_s: float = 30.0
-    transport: Transport = Transport.SETPOINT
-    simulated_clock: bool = False
-    limits: GoalLimits = field(default_factory=GoalLimits)
 
 
 class Aircraft:
@@ -159,6 +86,7 @@ class Aircraft:
         self.autopilot: Autopilot | None = None
         self.commands = CommandChannel(send, own, (config.sysid, AUTOPILOT_COMPONENT))
         self.authority = Authority()
+        self.procedure = ProcedureRunner()
         self.life = GoalLife(settings.arrival_radius_m)
         #: Local clock at the last call of `hear` or `tick` [s].
         self.now = 0.0
@@ -194,7 +122,6 @@ class Aircraft:
         self._deadman = deadman
         self._streams = StreamRequests(self.commands, send, (config.sysid, AUTOPILOT_COMPONENT), rates_hz)
         self._link_at = -math.inf
-        self._running: _Running | None = None
         self._goal: Goal | None = None
         self._goal_target: Target | None = None
         self._goal_refused = ""
@@ -320,32 +247,8 @@ class Aircraft:
 
     def run(self, procedure: Procedure, done: Done, name: str) -> None:
         """Begin a procedure; another one under way ends as superseded."""
-        self.stop_procedure(f"superseded by {name}")
         self._fault = ""
-        self._running = _Running(procedure, name, [done])
-
-    def join(self, done: Done, name: str) -> bool:
-        """Wait for the procedure of this name too, if it is under way: to begin anew would lose its turn."""
-        running = self._running
-        if running is None or running.name != name:
-            return False
-        running.waiting.append(done)
-        if running.answer:
-            running.end(True, running.answer)
-        return True
-
-    def answer(self, message: str) -> None:
-        """Of a procedure: tell those who wait that it succeeds; what is left to do goes on."""
-        if self._running is not None:
-            self._running.answer = message
-            self._running.end(True, message)
-
-    def stop_procedure(self, reason: str) -> None:
-        """End the procedure under way, if any, without success."""
-        running, self._running = self._running, None
-        if running is not None:
-            running.procedure.close()
-            running.end(False, reason)
+        self.procedure.run(procedure, done, name)
 
     def part(self, now: float) -> None:
         """The bridge stops: tell the autopilot what it must know."""
@@ -404,15 +307,7 @@ class Aircraft:
         return "" if self.autopilot is None else self.autopilot.goal_mode[self.settings.transport]
 
     def _identify(self) -> None:
-        """Take the personality of the heartbeat; a generic heartbeat leaves the choice to the fleet file."""
-        vehicle, wanted = self.vehicle, self.config.autopilot
-        heard = by_heartbeat(vehicle.autopilot if vehicle.autopilot is not None else mavlink.MAV_AUTOPILOT_INVALID)
-        types = _MULTICOPTERS
-        if wanted != "auto" and vehicle.autopilot == mavlink.MAV_AUTOPILOT_GENERIC:
-            heard = REGISTRY[wanted]
-            types = _MULTICOPTERS | {mavlink.MAV_TYPE_GENERIC}
-        fits = heard is not None and (wanted == "auto" or heard is REGISTRY[wanted])
-        self.autopilot = heard if fits and vehicle.vehicle_type in types else None
+        self.autopilot = identify(self.vehicle, self.config.autopilot)
         if self.autopilot is not None:
             self._streams.restart()
 
@@ -434,7 +329,7 @@ class Aircraft:
         if words := self.vehicle.words_since(self.now - WORDS_BEFORE_S):
             self.authority.reason += f" (autopilot: {words})"
         self.commands.cancel("somebody else took over")
-        self.stop_procedure(self.authority.reason)
+        self.procedure.stop(self.authority.reason)
 
     def overhear(self, message: Any, now: float) -> None:
         """Take what a ground station sent to it: whoever steers it has it, even where no mode will show that."""
@@ -458,7 +353,7 @@ class Aircraft:
         if fault == self._fault:
             return False
         self._fault = fault
-        self.stop_procedure(fault)
+        self.procedure.stop(fault)
         self.part(now)
         self.streaming = self.goals_open = False
         self.authority.lose(fault)
@@ -473,7 +368,7 @@ class Aircraft:
         self.enu_m = None
         if self.life.flying or self.life.state is GoalState.YIELDED:
             self.life.set_aside(GoalState.LOST, self.authority.reason)
-        self.stop_procedure("the autopilot rebooted")
+        self.procedure.stop("the autopilot rebooted")
 
     def _measure(self) -> None:
         position = self.vehicle.position
@@ -502,23 +397,12 @@ class Aircraft:
         if was is LinkState.CONNECTED and self.vehicle.link is LinkState.LOST:
             self.commands.cancel("link lost")
         self.commands.tick(now)
-        if self._running is not None:
-            self._step(self._running)
+        self.procedure.step()
         if self.autopilot is not None and self.vehicle.link is LinkState.CONNECTED and not self.duplicates:
             position = self.vehicle.position
             position_at = -math.inf if position is None else position.received_at
             self._streams.tick(now, self.vehicle.home is not None, position_at, self.vehicle.landed_at)
         self._fly()
-
-    def _step(self, running: _Running) -> None:
-        try:
-            next(running.procedure)
-        except StopIteration as end:
-            self._running = None
-            running.end(True, end.value)
-        except ProcedureFailed as failure:
-            self._running = None
-            running.end(False, str(failure))
 
     def _fly(self) -> None:
         under_way = False
@@ -670,16 +554,11 @@ class Aircraft:
     @property
     def identity_problem(self) -> str:
         """Why this vehicle is not served although it is heard; empty in good order."""
-        vehicle = self.vehicle
         if self.duplicates:
             return self.duplicates
-        if vehicle.autopilot is None or self.autopilot is not None:
+        if self.vehicle.autopilot is None or self.autopilot is not None:
             return ""
-        if vehicle.vehicle_type not in _MULTICOPTERS and vehicle.vehicle_type != mavlink.MAV_TYPE_GENERIC:
-            return f"MAV_TYPE {vehicle.vehicle_type} is not a multicopter: not served"
-        heard = by_heartbeat(vehicle.autopilot)
-        name = heard.name if heard else f"MAV_AUTOPILOT {vehicle.autopilot}"
-        return f"its heartbeat says {name}, the fleet file {self.config.autopilot}: not served"
+        return mismatch(self.vehicle, self.config.autopilot)
 
     def problems(self) -> list[str]:
         """What an operator should look into, each with what to do about it."""

@@ -22,7 +22,8 @@ from jpap_ros.fleet.tower import Tower
 from jpap_ros.fleet.traffic import TrafficControl, Vector
 from jpap_ros.fleet.transit_plan import TransitLimits
 from jpap_ros.mavlink import procedures
-from jpap_ros.mavlink.aircraft import Aircraft, AircraftSettings, Done, Procedure
+from jpap_ros.mavlink.aircraft import Aircraft
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_links import open_links
 from jpap_ros.mavlink.geodesy import LocalFrame
@@ -32,6 +33,7 @@ from jpap_ros.mavlink.link_rates import LinkRates
 from jpap_ros.mavlink.link_report import LinkReport
 from jpap_ros.mavlink.links import COMPONENT_ID, Link, LinkHub, Packet, Peer
 from jpap_ros.mavlink.muster import Muster
+from jpap_ros.mavlink.procedure_runner import Done, Procedure
 from jpap_ros.mavlink.resumption import resume
 from jpap_ros.mavlink.routing import Forwarder, target_of
 from jpap_ros.mavlink.sightings import Sightings
@@ -339,7 +341,7 @@ class FleetController:
         for name, future in futures.items():
             done: Done = partial(_report, future)
             self._members[name].aircraft.now = now
-            if not self._members[name].aircraft.join(done, order.value):
+            if not self._members[name].aircraft.procedure.join(done, order.value):
                 begun[name] = done
         procedure = self._procedures(order, {name: self._members[name].aircraft for name in begun}, now)
         for rank, (name, done) in enumerate(begun.items()):
@@ -593,7 +595,7 @@ class FleetController:
         for member in self._members.values():
             now = time.monotonic()
             with self._shielded(member, now):
-                member.aircraft.stop_procedure("the bridge stops")
+                member.aircraft.procedure.stop("the bridge stops")
                 member.aircraft.part(now)
         deadline = time.monotonic() + PARTING_S
         while time.monotonic() < deadline and any(m.aircraft.parting for m in self._members.values()):

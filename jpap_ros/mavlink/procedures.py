@@ -9,11 +9,12 @@ from functools import partial
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.tower import CLIMB_TOLERANCE_M, Hindrance, Tower, Turn
-from jpap_ros.mavlink.aircraft import Aircraft, Procedure, ProcedureFailed
+from jpap_ros.mavlink.aircraft import Aircraft
 from jpap_ros.mavlink.authority import Holder
 from jpap_ros.mavlink.autopilots import Autopilot, TargetError, Transport
 from jpap_ros.mavlink.commands import ANSWER_TIMEOUT_S, Command, Outcome
 from jpap_ros.mavlink.muster import PLACES_WITHIN_S, Muster
+from jpap_ros.mavlink.procedure_runner import Procedure, ProcedureFailed
 from jpap_ros.mavlink.vehicle import LinkState
 
 #: A mode asked for must show in the heartbeat within this [s].
@@ -165,7 +166,7 @@ def return_home(aircraft: Aircraft, tower: Tower | None = None, turn: Turn | Non
         yield from _open_to_goals(aircraft)
         name = aircraft.config.name
         turn = turn or tower.arrivals({name: (_here(aircraft), home)})[name]
-        aircraft.answer("flies home under traffic control and lands there in its turn")
+        aircraft.procedure.answer("flies home under traffic control and lands there in its turn")
         while not _is_at(aircraft, place := tower.waiting_place(turn)):
             aircraft.way_home = place
             aircraft.held_because = because + (f"; waits: {aircraft.way_closed}" if aircraft.way_closed else "")
@@ -217,7 +218,7 @@ def _touch_down(aircraft: Aircraft, words: str) -> Procedure:
     autopilot = _autopilot(aircraft)
     height_m = _here(aircraft)[2]
     answer = yield from _leave(aircraft, autopilot.land(), autopilot.land_mode, words)
-    aircraft.answer(answer)
+    aircraft.procedure.answer(answer)
     timeout_s = CLIMB_TIMEOUT_S + max(height_m, 0.0) / CLIMB_SPEED_M_S
     yield from _until(
         aircraft,

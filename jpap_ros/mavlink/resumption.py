@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from jpap_ros.mavlink.aircraft import Aircraft, Procedure, ProcedureFailed
+from jpap_ros.mavlink.aircraft import Aircraft
+from jpap_ros.mavlink.procedure_runner import Procedure, ProcedureFailed
 from jpap_ros.mavlink.vehicle import LinkState
 
 #: How long an aircraft may take to be heard, to say where it is, and to end its climb [s].

@@ -6,7 +6,7 @@ from typing import Any
 
 from jpap_ros.fleet.config import FleetConfig
 from jpap_ros.fleet.transit_plan import TransitLimits
-from jpap_ros.mavlink.aircraft import AircraftSettings
+from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.fleet_controller import ControllerSettings
 from jpap_ros.mavlink.guards import GoalLimits
