@@ -165,22 +165,22 @@ def test_who_is_not_heard_is_given_up_in_the_end() -> None:
 def test_who_was_left_in_the_air_is_there_until_it_says_itself_where_it_is() -> None:
     line = ((10.0, 0.0, 50.0), (90.0, 0.0, 50.0))
     rig = Rig()
-    rig.aircraft.left_m = line
+    rig.aircraft.whereabouts.left_m = line
     silent = rig.aircraft.traveller()
     assert silent.flies and not silent.obeys and not silent.heard
     assert (silent.position, silent.way) == (line[0], line[1:])
-    assert rig.aircraft.line_m == line, "killed once more, the next one knows too"
+    assert rig.aircraft.whereabouts.line_m(rig.aircraft.setpoint) == line, "killed once more, the next one knows too"
     rig.heartbeat()
     assert rig.aircraft.traveller().flies and rig.aircraft.traveller().position == line[0]
     rig.flying()
     heard = rig.aircraft.traveller()
     assert heard.position == pytest.approx((0.0, 0.0, 50.0), abs=0.1) and heard.way == ()
-    assert rig.aircraft.left_m == ()
+    assert rig.aircraft.whereabouts.left_m == ()
 
 
 def test_who_was_left_in_the_air_and_is_found_on_the_ground_is_in_nobodys_way() -> None:
     rig = Rig()
-    rig.aircraft.left_m = ((10.0, 0.0, 50.0),)
+    rig.aircraft.whereabouts.left_m = ((10.0, 0.0, 50.0),)
     rig.hear(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, 3, 0x01, GUIDED, 3, 3))
     assert not rig.aircraft.traveller().flies
-    assert rig.aircraft.line_m == ()
+    assert rig.aircraft.whereabouts.line_m(rig.aircraft.setpoint) == ()

@@ -34,6 +34,7 @@ from jpap_ros.mavlink.statistics import Traffic
 from jpap_ros.mavlink.steering import steers
 from jpap_ros.mavlink.streams import StreamRequests
 from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState, Vehicle
+from jpap_ros.mavlink.whereabouts import Whereabouts
 
 #: Commands in a row without an answer, while the vehicle is heard well, before that is reported.
 UNANSWERED_SUSPICIOUS = 3
@@ -83,6 +84,7 @@ class Aircraft:
         self.settings = settings
         self.datum = AltitudeDatum(config.altitude_datum)
         self.vehicle = Vehicle(config.sysid, settings.link_timeout_s, settings.simulated_clock)
+        self.whereabouts = Whereabouts(self.vehicle, frame, self.datum)
         self.autopilot: Autopilot | None = None
         self.commands = CommandChannel(send, own, (config.sysid, AUTOPILOT_COMPONENT))
         self.authority = Authority()
@@ -90,8 +92,6 @@ class Aircraft:
         self.life = GoalLife(settings.arrival_radius_m)
         #: Local clock at the last call of `hear` or `tick` [s].
         self.now = 0.0
-        #: Position in the map frame (east, north, up) [m], in the goal's altitude datum; None: unknown.
-        self.enu_m: Vector | None = None
         #: Procedures set these: targets flow; they carry the planner's goals and not only the place to hold.
         self.streaming = False
         self.goals_open = False
@@ -107,10 +107,6 @@ class Aircraft:
         #: Where traffic control wants it now; None: it has no part in it. And why it has to wait there.
         self.setpoint: Setpoint | None = None
         self.way_closed = ""
-        #: Line on which traffic control takes it to be since it fell silent on its way [m]; empty: it did not.
-        self.lost_m: tuple[Vector, ...] = ()
-        #: Line on which a bridge before this one left it in the air [m]; empty: unknown, or heard since.
-        self.left_m: tuple[Vector, ...] = ()
         #: Place above its home where it waits to land, while an operator's order takes it there.
         self.way_home: Vector | None = None
         #: Position targets that went out to it, counted by time.
@@ -121,7 +117,6 @@ class Aircraft:
         self._send = send
         self._deadman = deadman
         self._streams = StreamRequests(self.commands, send, (config.sysid, AUTOPILOT_COMPONENT), rates_hz)
-        self._link_at = -math.inf
         self._goal: Goal | None = None
         self._goal_target: Target | None = None
         self._goal_refused = ""
@@ -174,74 +169,25 @@ class Aircraft:
         """Whether the bridge flies it to its goals, or is about to: what one that comes after it may go on with."""
         return self.resuming or (self.authority.ours and not self.held_because and not self.recalled)
 
-    @property
-    def home_m(self) -> tuple[float, float, float] | None:
-        """Its home in the map frame, on the ground, in the goal's altitude datum [m]; None: unknown."""
-        home = self.vehicle.home
-        if home is None:
-            return None
-        try:
-            east_m, north_m = self._frame.to_map(home.latitude, home.longitude)
-        except ValueError:
-            return None
-        relative = self.datum is AltitudeDatum.RELATIVE
-        return east_m, north_m, 0.0 if relative else home.amsl_m - self._frame.origin.altitude_amsl_m
-
-    @property
-    def pad_m(self) -> tuple[float, float, float] | None:
-        """Where it stands on the ground, as `home_m`; None: unknown, or it does not stand there."""
-        if self.enu_m is None or not self.vehicle.on_ground:
-            return None
-        east_m, north_m, up_m = self.enu_m
-        return east_m, north_m, 0.0 if self.datum is AltitudeDatum.RELATIVE else up_m
-
     def traveller(self) -> Traveller:
         """How traffic control should see it now.
 
         It obeys only from where it said itself that it is, since its link is there; later, a gap in telemetry does not
         take it out of control again.
         """
+        where = self.whereabouts
         in_hand = self.streaming and self.goals_open and self._can_send() and self.vehicle.in_air
         heard = self.vehicle.link is LinkState.CONNECTED
-        obeys = in_hand and self.enu_m is not None and (self._position_known or self.setpoint is not None)
+        obeys = in_hand and where.enu_m is not None and (where.known(self.now) or self.setpoint is not None)
         goal = self.way_home
         if goal is None and self._goal is not None and self._obstacle() is None:
             goal = (self._goal.east_m, self._goal.north_m, self._goal.up_m)
         position = self.vehicle.position
         heard_at = -math.inf if position is None else position.received_at
         keeps_s = 0.0 if self.autopilot is None else self.autopilot.keeps_velocity_s / self.vehicle.clock_rate
-        if self.enu_m is None and self.left_m:
-            return Traveller(self.left_m[0], False, self._flies, goal, heard=heard, way=self.left_m[1:])
-        return Traveller(self.enu_m, obeys, self._flies, goal, heard_at, heard, keeps_s)
-
-    @property
-    def line_m(self) -> tuple[Vector, ...]:
-        """Corners of the line in the air on which it is until it is heard again [m]; empty: none, or unknown."""
-        if not self._flies or self.enu_m is None:
-            return self.left_m if self._flies else ()
-        if self.lost_m:
-            return self.lost_m
-        setpoint = self.setpoint
-        if setpoint is None or (speed := math.hypot(*setpoint.velocity)) == 0.0:
-            return (self.enu_m,)
-        # A leg ends at rest, so nobody who hears nothing more comes farther than that.
-        (x, y, z), (east, north, up) = setpoint.position, setpoint.velocity
-        ahead = setpoint.ahead_m / speed
-        return self.enu_m, (x + ahead * east, y + ahead * north, z + ahead * up)
-
-    @property
-    def _flies(self) -> bool:
-        """Whether it is not on the ground; as it was left, before it is heard."""
-        if self.vehicle.autopilot is None:
-            return bool(self.left_m)
-        return self.vehicle.in_air or not self.vehicle.on_ground
-
-    @property
-    def _position_known(self) -> bool:
-        """Whether it said lately where it is, and since its link is there: before that it may have flown anywhere."""
-        position = self.vehicle.position
-        fresh = self.enu_m is not None and self.vehicle.position_fresh(self.now)
-        return fresh and position is not None and position.received_at >= self._link_at
+        if where.enu_m is None and where.left_m:
+            return Traveller(where.left_m[0], False, where.flies, goal, heard=heard, way=where.left_m[1:])
+        return Traveller(where.enu_m, obeys, where.flies, goal, heard_at, heard, keeps_s)
 
     # --- what an operator wants
 
@@ -278,7 +224,7 @@ class Aircraft:
             if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
                 return
             if self.vehicle.link is not LinkState.CONNECTED:
-                self._link_at = now
+                self.whereabouts.link_at = now
             known = self.vehicle.link is LinkState.CONNECTED and self.vehicle.autopilot is not None
             self.vehicle.hear(message, now)
             if not known:
@@ -363,29 +309,16 @@ class Aircraft:
         self.commands.cancel("the autopilot rebooted")
         self.authority.release("the autopilot rebooted; call bridge/launch")
         self.streaming = self.goals_open = False
-        if self.enu_m is not None:
-            self.left_m = (self.enu_m,)
-        self.enu_m = None
+        self.whereabouts.rebooted()
         if self.life.flying or self.life.state is GoalState.YIELDED:
             self.life.set_aside(GoalState.LOST, self.authority.reason)
         self.procedure.stop("the autopilot rebooted")
 
     def _measure(self) -> None:
-        position = self.vehicle.position
-        if position is None:
-            return
-        try:
-            east_m, north_m = self._frame.to_map(position.latitude, position.longitude)
-        except ValueError:
-            self.enu_m = None
-            return
-        relative = self.datum is AltitudeDatum.RELATIVE
-        up_m = position.relative_m if relative else position.amsl_m - self._frame.origin.altitude_amsl_m
-        self.enu_m = east_m, north_m, up_m
-        self.left_m = ()
-        if self._goal is not None:
-            goal = self._goal
-            self.life.moved(math.dist(self.enu_m, (goal.east_m, goal.north_m, goal.up_m)))
+        self.whereabouts.measure()
+        here, goal = self.whereabouts.enu_m, self._goal
+        if here is not None and goal is not None:
+            self.life.moved(math.dist(here, (goal.east_m, goal.north_m, goal.up_m)))
 
     # --- what time brings
 
@@ -447,7 +380,7 @@ class Aircraft:
 
     def _follow(self, setpoint: Setpoint) -> None:
         """Whoever is where traffic control wants it obeys, though it may not come nearer to its goal meanwhile."""
-        if self.enu_m is not None and math.dist(self.enu_m, setpoint.position) <= FOLLOWING_M:
+        if self.whereabouts.enu_m is not None and math.dist(self.whereabouts.enu_m, setpoint.position) <= FOLLOWING_M:
             self.life.follows(self.now)
 
     def _setpoint_to_send(self) -> Setpoint | None:
@@ -481,7 +414,7 @@ class Aircraft:
         fence = self.settings.limits.fence
         if fence is None or (outside_m := fence.outside_m(place)) <= ROUNDING_M:
             return False
-        here_m = 0.0 if self.enu_m is None else fence.outside_m(self.enu_m)
+        here_m = 0.0 if self.whereabouts.enu_m is None else fence.outside_m(self.whereabouts.enu_m)
         return here_m == 0.0 or outside_m > here_m + FENCE_SWAY_M
 
     def _can_send(self) -> bool:
@@ -520,7 +453,7 @@ class Aircraft:
             return GoalState.REJECTED, f"the autopilot reports MAV_STATE {vehicle.system_status}: it holds"
         # A gap in telemetry must not turn back an aircraft that is on its way, unless it lasts.
         silent = vehicle.position is None or self.now - vehicle.position.received_at > POSITION_GAP_S
-        if silent or (not self._goal_begun and not self._position_known):
+        if silent or (not self._goal_begun and not self.whereabouts.known(self.now)):
             return GoalState.NONE, "waiting: its position is not known"
         silence_s = self._deadman.silence_s(self.now)
         if silence_s is not None:
@@ -547,9 +480,9 @@ class Aircraft:
 
     def _straight_way_leaves_fence(self) -> bool:
         fence, goal = self.settings.limits.fence, self._goal
-        if fence is None or goal is None or self.enu_m is None:
+        if fence is None or goal is None or self.whereabouts.enu_m is None:
             return False
-        return not fence.lets_pass(self.enu_m, (goal.east_m, goal.north_m, goal.up_m))
+        return not fence.lets_pass(self.whereabouts.enu_m, (goal.east_m, goal.north_m, goal.up_m))
 
     @property
     def identity_problem(self) -> str:
@@ -598,7 +531,7 @@ class Aircraft:
     def _hold(self, under_way: bool = False) -> Target | None:
         """Where it is, or, `under_way` until now, was last heard; None: unknown."""
         position = self.vehicle.position
-        known = self._position_known or (under_way and self.enu_m is not None)
+        known = self.whereabouts.known(self.now) or (under_way and self.whereabouts.enu_m is not None)
         if self._hold_target is None and position is not None and known:
             self._hold_target = Target(position.latitude, position.longitude, position.relative_m, position.amsl_m)
             self._send_at = -math.inf

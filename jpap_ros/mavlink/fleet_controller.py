@@ -360,9 +360,11 @@ class FleetController:
             return lambda aircraft, rank: procedures.launch(aircraft, rank * stagger_s, tower, muster)
         if order is FleetOrder.RETURN_HOME:
             flying = {
-                name: (one.enu_m, home)
+                name: (one.whereabouts.enu_m, home)
                 for name, one in fleet.items()
-                if one.vehicle.in_air and one.enu_m is not None and (home := one.home_m) is not None
+                if one.vehicle.in_air
+                and one.whereabouts.enu_m is not None
+                and (home := one.whereabouts.home_m) is not None
             }
             turns = {} if tower is None else tower.arrivals(flying)
             return lambda aircraft, _: procedures.return_home(aircraft, tower, turns.get(aircraft.config.name))
@@ -371,7 +373,7 @@ class FleetController:
         return lambda aircraft, _: procedures.land(aircraft, tower)
 
     def _leave(self, aircraft: Aircraft, line_m: tuple[Vector, ...], now: float) -> None:
-        aircraft.left_m = line_m
+        aircraft.whereabouts.left_m = line_m
 
     def _resume(self, member: _Member, done: Done, now: float) -> None:
         member.aircraft.now = now
@@ -433,7 +435,7 @@ class FleetController:
         turned = traffic.step(now, fleet)
         for name, member in self._members.items():
             member.aircraft.way_closed = traffic.held(name)
-            member.aircraft.lost_m = traffic.lost(name)
+            member.aircraft.whereabouts.lost_m = traffic.lost(name)
         # They do not wait for their regular turns, which stay spread over the period.
         for name in turned:
             self._tick(self._members[name], now)

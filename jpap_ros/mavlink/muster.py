@@ -49,9 +49,11 @@ class Muster:
             self._tower.leave(turn)
 
     def _give(self, fleet: Mapping[str, Aircraft]) -> dict[str, Turn]:
-        return self._tower.departures({name: pad for name, one in fleet.items() if (pad := one.pad_m) is not None})
+        return self._tower.departures(
+            {name: pad for name, one in fleet.items() if (pad := one.whereabouts.pad_m) is not None}
+        )
 
 
 def _silent(aircraft: Aircraft) -> bool:
     """Whether it is there, but has not said where."""
-    return aircraft.vehicle.link is LinkState.CONNECTED and aircraft.enu_m is None
+    return aircraft.vehicle.link is LinkState.CONNECTED and aircraft.whereabouts.enu_m is None

@@ -156,7 +156,7 @@ def return_home(aircraft: Aircraft, tower: Tower | None = None, turn: Turn | Non
         Its turn, where several were told to come home together.
     """
     words = "returns home"
-    home = aircraft.home_m
+    home = aircraft.whereabouts.home_m
     try:
         autopilot = _autopilot(aircraft)
         direct = aircraft.authority.holder is Holder.OTHERS or aircraft.mode == autopilot.return_mode
@@ -189,11 +189,11 @@ def land(aircraft: Aircraft, tower: Tower | None = None) -> Procedure:
     """Land where it is; with a tower, when nobody is in the way."""
     words = "lands"
     autopilot = _autopilot(aircraft)
-    here = aircraft.enu_m
+    here = aircraft.whereabouts.enu_m
     if tower is None or here is None or not aircraft.vehicle.in_air:
         return (yield from _leave(aircraft, autopilot.land(), autopilot.land_mode, words))
     _recall(aircraft, words)
-    home = aircraft.home_m
+    home = aircraft.whereabouts.home_m
     turn = tower.landing(aircraft.config.name, (*here[:2], 0.0 if home is None else min(home[2], 0.0)))
     try:
         yield from _wait_for_turn(aircraft, partial(_landing_hindrance, aircraft, tower, turn), "land")
@@ -203,14 +203,14 @@ def land(aircraft: Aircraft, tower: Tower | None = None) -> Procedure:
 
 
 def _is_at(aircraft: Aircraft, place: Place | None) -> bool:
-    here = aircraft.enu_m
+    here = aircraft.whereabouts.enu_m
     return here is not None and place is not None and math.dist(here, place) <= aircraft.settings.arrival_radius_m
 
 
 def _here(aircraft: Aircraft) -> Place:
-    if aircraft.enu_m is None:
+    if aircraft.whereabouts.enu_m is None:
         raise ProcedureFailed("its position is not known")
-    return aircraft.enu_m
+    return aircraft.whereabouts.enu_m
 
 
 def _touch_down(aircraft: Aircraft, words: str) -> Procedure:

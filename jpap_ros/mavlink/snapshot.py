@@ -90,8 +90,8 @@ def condition_of(aircraft: Aircraft) -> tuple[object, ...]:
         aircraft.goal.plan_id if aircraft.goal else 0,
         tuple(aircraft.problems()),
         aircraft.flown,
-        aircraft.lost_m,
-        aircraft.left_m,
+        aircraft.whereabouts.lost_m,
+        aircraft.whereabouts.left_m,
     )
 
 
@@ -117,7 +117,7 @@ def snapshot_of(aircraft: Aircraft, condition: tuple[object, ...]) -> AircraftSn
         system_status=vehicle.system_status,
         battery=replace(vehicle.battery),
         position=position,
-        enu_m=None if position is None else aircraft.enu_m,
+        enu_m=None if position is None else aircraft.whereabouts.enu_m,
         geoid_separation_m=vehicle.geoid_separation_m,
         setpoint_rate_hz=aircraft.targets.rates(aircraft.now)[0],
         goal_state=life.state,
@@ -127,6 +127,6 @@ def snapshot_of(aircraft: Aircraft, condition: tuple[object, ...]) -> AircraftSn
         problems=tuple(aircraft.problems()),
         reboots=vehicle.reboots,
         flown=aircraft.flown,
-        line_m=aircraft.line_m,
+        line_m=aircraft.whereabouts.line_m(aircraft.setpoint),
         condition=condition,
     )
