@@ -13,6 +13,7 @@ from jpap_ros.fleet.config import UavConfig
 from jpap_ros.fleet.fence import ROUNDING_M
 from jpap_ros.fleet.traffic import Setpoint, Traveller, Vector
 from jpap_ros.mavlink.aircraft_settings import AircraftSettings
+from jpap_ros.mavlink.assigned_goal import AssignedGoal
 from jpap_ros.mavlink.authority import Authority, Holder
 from jpap_ros.mavlink.autopilots import AltitudeDatum, Autopilot, Target, TargetError, Transport
 from jpap_ros.mavlink.coasting import coasting
@@ -22,8 +23,6 @@ from jpap_ros.mavlink.goals import Goal, GoalLife, GoalState
 from jpap_ros.mavlink.guards import (
     GoalRefused,
     PlanDeadman,
-    check_fence,
-    check_jump,
     datum_problem,
     echo_problem,
     target_of,
@@ -90,6 +89,7 @@ class Aircraft:
         self.authority = Authority()
         self.procedure = ProcedureRunner()
         self.life = GoalLife(settings.arrival_radius_m)
+        self.assigned = AssignedGoal(self.vehicle, self.whereabouts, self.life, frame, self.datum)
         #: Local clock at the last call of `hear` or `tick` [s].
         self.now = 0.0
         #: Procedures set these: targets flow; they carry the planner's goals and not only the place to hold.
@@ -117,11 +117,6 @@ class Aircraft:
         self._send = send
         self._deadman = deadman
         self._streams = StreamRequests(self.commands, send, (config.sysid, AUTOPILOT_COMPONENT), rates_hz)
-        self._goal: Goal | None = None
-        self._goal_target: Target | None = None
-        self._goal_refused = ""
-        self._no_goal_because = ""
-        self._goal_begun = False
         self._hold_target: Target | None = None
         self._rest: tuple[Setpoint, Target] | None = None
         self._send_at = -math.inf
@@ -133,36 +128,16 @@ class Aircraft:
 
     # --- what the planner wants
 
-    @property
-    def goal(self) -> Goal | None:
-        """The goal that the planner last gave."""
-        return self._goal
-
     def set_goal(self, goal: Goal) -> None:
         """Give it a goal; what must not be flown is refused here, before anything is sent."""
-        if goal.same_place(self._goal):
-            self._goal = goal
-            return
-        self._goal = goal
-        self._goal_target = None
-        self._goal_refused = ""
-        self._goal_begun = False
-        self.life.distance_m = math.nan
-        try:
-            self._goal_target = target_of(goal, self._frame)
-            check_fence(goal, self.settings.limits)
-        except GoalRefused as refusal:
-            self._goal_refused = str(refusal)
-        self._measure()
-        # Not at the next regular time: a new goal goes out at once.
-        self._send_at = -math.inf
+        if self.assigned.give(goal, self.settings.limits):
+            self._measure()
+            # Not at the next regular time: a new goal goes out at once.
+            self._send_at = -math.inf
 
     def clear_goal(self, reason: str = "", refused: bool = False) -> None:
         """It has no goal any more, or (`refused`) was given one that must not be flown; in the air it holds."""
-        self._goal = self._goal_target = None
-        self._goal_refused = reason if refused else ""
-        self._no_goal_because = "" if refused else reason
-        self.life.distance_m = math.nan
+        self.assigned.clear(reason, refused)
 
     @property
     def flown(self) -> bool:
@@ -180,8 +155,8 @@ class Aircraft:
         heard = self.vehicle.link is LinkState.CONNECTED
         obeys = in_hand and where.enu_m is not None and (where.known(self.now) or self.setpoint is not None)
         goal = self.way_home
-        if goal is None and self._goal is not None and self._obstacle() is None:
-            goal = (self._goal.east_m, self._goal.north_m, self._goal.up_m)
+        if goal is None and self.assigned.goal is not None and self._obstacle() is None:
+            goal = self.assigned.place
         position = self.vehicle.position
         heard_at = -math.inf if position is None else position.received_at
         keeps_s = 0.0 if self.autopilot is None else self.autopilot.keeps_velocity_s / self.vehicle.clock_rate
@@ -316,9 +291,7 @@ class Aircraft:
 
     def _measure(self) -> None:
         self.whereabouts.measure()
-        here, goal = self.whereabouts.enu_m, self._goal
-        if here is not None and goal is not None:
-            self.life.moved(math.dist(here, (goal.east_m, goal.north_m, goal.up_m)))
+        self.assigned.measure()
 
     # --- what time brings
 
@@ -350,7 +323,7 @@ class Aircraft:
             obstacle = obstacle or (GoalState.REJECTED, "its way leads out of the fence: it holds")
         if obstacle is not None:
             self.life.set_aside(*obstacle)
-            under_way, self._goal_begun = self._goal_begun, False
+            under_way, self.assigned.begun = self.assigned.begun, False
         elif self._reposition is not None and self._reposition.outcome is not None:
             self._take_reposition_answer(self._reposition)
         if not self.streaming or not self._can_send():
@@ -360,17 +333,17 @@ class Aircraft:
         if setpoint is not None:
             target = self._target_at(setpoint)
         else:
-            target = self._goal_target if obstacle is None else self._hold(under_way) or self._sent_target
+            target = self.assigned.target if obstacle is None else self._hold(under_way) or self._sent_target
         if target is None:
             return
         if obstacle is None:
             self._hold_target = None
-            if self._goal_begun and self.setpoint is not None:
+            if self.assigned.begun and self.setpoint is not None:
                 self.life.moves((target.lat_e7, target.lon_e7))
                 self._follow(self.setpoint)
             else:
                 self.life.sent((target.lat_e7, target.lon_e7), self.now)
-            self._goal_begun = True
+            self.assigned.begun = True
             self.life.tick(self.now, self.vehicle.words_since(self.life.sent_at))
         try:
             self._put_on_wire(target)
@@ -392,10 +365,9 @@ class Aircraft:
 
     def _target_at(self, setpoint: Setpoint) -> Target | None:
         """Target for a place that traffic control gives."""
-        goal = self._goal
         at_rest = setpoint.velocity == (0.0, 0.0, 0.0)
-        if at_rest and goal is not None and setpoint.position == (goal.east_m, goal.north_m, goal.up_m):
-            return self._goal_target
+        if at_rest and setpoint.position == self.assigned.place:
+            return self.assigned.target
         if at_rest and self._rest is not None and self._rest[0] == setpoint:
             return self._rest[1]
         try:
@@ -434,10 +406,10 @@ class Aircraft:
             return GoalState.YIELDED, self.held_because
         if vehicle.link is LinkState.LOST and (self.life.flying or self.life.state is GoalState.LOST):
             return GoalState.LOST, f"no heartbeat for more than {vehicle.link_timeout_s:g} s"
-        if self._goal_refused:
-            return GoalState.REJECTED, self._goal_refused
-        if self._goal is None:
-            return GoalState.NONE, self.held_because or self._no_goal_because
+        if self.assigned.refused:
+            return GoalState.REJECTED, self.assigned.refused
+        if self.assigned.goal is None:
+            return GoalState.NONE, self.held_because or self.assigned.none_because
         if vehicle.link is not LinkState.CONNECTED:
             return GoalState.NONE, "waiting: no heartbeat"
         if problem := self.identity_problem:
@@ -453,36 +425,14 @@ class Aircraft:
             return GoalState.REJECTED, f"the autopilot reports MAV_STATE {vehicle.system_status}: it holds"
         # A gap in telemetry must not turn back an aircraft that is on its way, unless it lasts.
         silent = vehicle.position is None or self.now - vehicle.position.received_at > POSITION_GAP_S
-        if silent or (not self._goal_begun and not self.whereabouts.known(self.now)):
+        if silent or (not self.assigned.begun and not self.whereabouts.known(self.now)):
             return GoalState.NONE, "waiting: its position is not known"
         silence_s = self._deadman.silence_s(self.now)
         if silence_s is not None:
             return GoalState.NONE, f"planner silent for {silence_s:.0f} s: it holds"
-        return self._goal_obstacle()
-
-    def _goal_obstacle(self) -> tuple[GoalState, str] | None:
-        if self._goal_begun or self._goal_target is None or self.autopilot is None:
-            return None
-        try:
-            if problem := datum_problem(self.vehicle, self.datum, self._frame.origin.altitude_amsl_m):
-                raise GoalRefused(problem)
-            check_jump(self.life.distance_m, self.settings.limits)
-        except GoalRefused as refusal:
-            self._goal_refused = str(refusal)
-            return GoalState.REJECTED, self._goal_refused
-        try:
-            self.autopilot.frame_and_altitude(self._goal_target, self.vehicle, self.datum)
-        except TargetError as error:
-            return GoalState.REJECTED, str(error)
-        if not self.under_traffic_control and self._straight_way_leaves_fence():
-            return GoalState.REJECTED, "the straight way to the goal leads out of the fence"
+        if problem := self.assigned.problem(self.autopilot, self.settings.limits, not self.under_traffic_control):
+            return GoalState.REJECTED, problem
         return None
-
-    def _straight_way_leaves_fence(self) -> bool:
-        fence, goal = self.settings.limits.fence, self._goal
-        if fence is None or goal is None or self.whereabouts.enu_m is None:
-            return False
-        return not fence.lets_pass(self.whereabouts.enu_m, (goal.east_m, goal.north_m, goal.up_m))
 
     @property
     def identity_problem(self) -> str:
@@ -514,7 +464,7 @@ class Aircraft:
         return found
 
     def _echo_problem(self) -> str | None:
-        target, home, echo = self._goal_target, self.vehicle.home, self.vehicle.echo
+        target, home, echo = self.assigned.target, self.vehicle.home, self.vehicle.echo
         echoed = self.life.state in (GoalState.ACCEPTED, GoalState.EN_ROUTE, GoalState.REACHED)
         if not echoed or target is None or home is None or echo is None or not self.life.is_target(echo):
             return None
@@ -556,7 +506,7 @@ class Aircraft:
         if self.now < self._send_at and (not changed or (moves and moved_before)):
             return
         message = self.autopilot.position_target(target, self.vehicle, datum, round(self.now * 1e3))
-        if changed and sent is not None and target is self._goal_target and self.setpoint is None:
+        if changed and sent is not None and target is self.assigned.target and self.setpoint is None:
             self.life.resent(self.now)
         rate_hz = max(self.settings.setpoint_rate_hz, self.autopilot.min_stream_hz, MOVING_TARGET_HZ if moves else 0.0)
         interval_s = 1.0 / rate_hz
@@ -571,7 +521,7 @@ class Aircraft:
     def _take_reposition_answer(self, pending: Pending) -> None:
         self._reposition = None
         outcome = pending.outcome
-        if outcome is None or self._sent_target is not self._goal_target:
+        if outcome is None or self._sent_target is not self.assigned.target:
             return
         if outcome.accepted:
             self.life.answered(self.now)

@@ -321,9 +321,9 @@ class FleetController:
             self._hub.wake()
 
     def _change(self, member: _Member, change: Callable[[], None], now: float) -> None:
-        before = member.aircraft.goal
+        before = member.aircraft.assigned.goal
         change()
-        goal = member.aircraft.goal
+        goal = member.aircraft.assigned.goal
         if self._traffic is None:
             self._tick(member, now)
         elif goal is before or (goal is not None and goal.same_place(before)):
