@@ -4,34 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from jpap_ros.fleet.config import UavConfig
-from jpap_ros.fleet.fence import ROUNDING_M
 from jpap_ros.fleet.traffic import Setpoint, Traveller, Vector
 from jpap_ros.mavlink.aircraft_settings import AircraftSettings
 from jpap_ros.mavlink.assigned_goal import AssignedGoal
 from jpap_ros.mavlink.authority import Authority, Holder
-from jpap_ros.mavlink.autopilots import AltitudeDatum, Autopilot, Target, TargetError, Transport
+from jpap_ros.mavlink.autopilots import AltitudeDatum, Autopilot, TargetError
 from jpap_ros.mavlink.coasting import coasting
-from jpap_ros.mavlink.commands import CommandChannel, Pending
+from jpap_ros.mavlink.commands import CommandChannel, Outcome, Pending
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalLife, GoalState
 from jpap_ros.mavlink.guards import (
-    GoalRefused,
     PlanDeadman,
     datum_problem,
     echo_problem,
-    target_of,
 )
 from jpap_ros.mavlink.identity import identify, mismatch
 from jpap_ros.mavlink.procedure_runner import Done, Procedure, ProcedureRunner
-from jpap_ros.mavlink.statistics import Traffic
 from jpap_ros.mavlink.steering import steers
 from jpap_ros.mavlink.streams import StreamRequests
+from jpap_ros.mavlink.target_choice import TargetChoice
+from jpap_ros.mavlink.target_sender import TargetSender
 from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState, Vehicle
 from jpap_ros.mavlink.whereabouts import Whereabouts
 
@@ -39,10 +36,6 @@ from jpap_ros.mavlink.whereabouts import Whereabouts
 UNANSWERED_SUSPICIOUS = 3
 #: This near to a moving setpoint an aircraft follows it [m].
 FOLLOWING_M = 5.0
-#: One that is outside the fence already may be told a place this much farther out than where it sways to [m].
-FENCE_SWAY_M = 1.0
-#: Least rate of targets that move [Hz].
-MOVING_TARGET_HZ = 5.0
 #: An echo sooner than this after its target was changed may still be of the one before [s].
 ECHO_SETTLED_S = 3.0
 #: Without a position for so long a goal under way is set aside; a shorter gap turns nobody back [s].
@@ -90,6 +83,8 @@ class Aircraft:
         self.procedure = ProcedureRunner()
         self.life = GoalLife(settings.arrival_radius_m)
         self.assigned = AssignedGoal(self.vehicle, self.whereabouts, self.life, frame, self.datum)
+        self.sender = TargetSender(self.vehicle, self.commands, send)
+        self._choice = TargetChoice(self.vehicle, self.whereabouts, self.assigned, self.sender, frame, self.datum)
         #: Local clock at the last call of `hear` or `tick` [s].
         self.now = 0.0
         #: Procedures set these: targets flow; they carry the planner's goals and not only the place to hold.
@@ -109,20 +104,11 @@ class Aircraft:
         self.way_closed = ""
         #: Place above its home where it waits to land, while an operator's order takes it there.
         self.way_home: Vector | None = None
-        #: Position targets that went out to it, counted by time.
-        self.targets = Traffic()
         #: Whether it flies nowhere but where traffic control wants it.
         self.under_traffic_control = False
         self._frame = frame
-        self._send = send
         self._deadman = deadman
         self._streams = StreamRequests(self.commands, send, (config.sysid, AUTOPILOT_COMPONENT), rates_hz)
-        self._hold_target: Target | None = None
-        self._rest: tuple[Setpoint, Target] | None = None
-        self._send_at = -math.inf
-        self._sent_target: Target | None = None
-        self._changed_at = -math.inf
-        self._reposition: Pending | None = None
         self._parting: Pending | None = None
         self._fault = ""
 
@@ -133,7 +119,7 @@ class Aircraft:
         if self.assigned.give(goal, self.settings.limits):
             self._measure()
             # Not at the next regular time: a new goal goes out at once.
-            self._send_at = -math.inf
+            self.sender.hurry()
 
     def clear_goal(self, reason: str = "", refused: bool = False) -> None:
         """It has no goal any more, or (`refused`) was given one that must not be flown; in the air it holds."""
@@ -318,26 +304,27 @@ class Aircraft:
         if obstacle is None and self.under_traffic_control and self.setpoint is None:
             obstacle = GoalState.NONE, "waiting for traffic control"
         setpoint = self._setpoint_to_send()
-        if setpoint is not None and self._leaves_fence(setpoint.position):
+        if setpoint is not None and self._choice.leaves(self.settings.limits.fence, setpoint.position):
             setpoint = None
             obstacle = obstacle or (GoalState.REJECTED, "its way leads out of the fence: it holds")
         if obstacle is not None:
             self.life.set_aside(*obstacle)
             under_way, self.assigned.begun = self.assigned.begun, False
-        elif self._reposition is not None and self._reposition.outcome is not None:
-            self._take_reposition_answer(self._reposition)
-        if not self.streaming or not self._can_send():
+        elif answer := self.sender.take_answer():
+            self._take_reposition_answer(answer)
+        if self.autopilot is None or not self.streaming or not self._can_send():
             # Where it held before may be far away when it is commanded again.
-            self._sent_target = self._hold_target = None
+            self.sender.sent = None
+            self._choice.forget_hold()
             return
         if setpoint is not None:
-            target = self._target_at(setpoint)
+            target = self._choice.at(setpoint, self.now)
         else:
-            target = self.assigned.target if obstacle is None else self._hold(under_way) or self._sent_target
+            target = self.assigned.target if obstacle is None else self._choice.hold(self.now, under_way)
         if target is None:
             return
         if obstacle is None:
-            self._hold_target = None
+            self._choice.forget_hold()
             if self.assigned.begun and self.setpoint is not None:
                 self.life.moves((target.lat_e7, target.lon_e7))
                 self._follow(self.setpoint)
@@ -346,10 +333,13 @@ class Aircraft:
             self.assigned.begun = True
             self.life.tick(self.now, self.vehicle.words_since(self.life.sent_at))
         try:
-            self._put_on_wire(target)
+            replaced = self.sender.put(target, self.autopilot, self._choice.datum(target), self.settings, self.now)
         except TargetError as error:
             self.life.set_aside(GoalState.REJECTED, str(error))
-            self._sent_target = None
+            self.sender.sent = None
+            return
+        if replaced and target is self.assigned.target and self.setpoint is None:
+            self.life.resent(self.now)
 
     def _follow(self, setpoint: Setpoint) -> None:
         """Whoever is where traffic control wants it obeys, though it may not come nearer to its goal meanwhile."""
@@ -362,32 +352,6 @@ class Aircraft:
             # A simulation faster than the clock gets too few targets to do without their full velocity.
             return self.setpoint
         return coasting(self.setpoint, self.autopilot.keeps_velocity_s)
-
-    def _target_at(self, setpoint: Setpoint) -> Target | None:
-        """Target for a place that traffic control gives."""
-        at_rest = setpoint.velocity == (0.0, 0.0, 0.0)
-        if at_rest and setpoint.position == self.assigned.place:
-            return self.assigned.target
-        if at_rest and self._rest is not None and self._rest[0] == setpoint:
-            return self._rest[1]
-        try:
-            target = target_of(Goal(*setpoint.position), self._frame)
-        except GoalRefused:
-            # An aircraft nearer to the ground than any goal may be: hold by telemetry.
-            return self._hold() or self._sent_target
-        if at_rest:
-            self._rest = setpoint, target
-            return target
-        east, north, up = setpoint.velocity
-        return replace(target, velocity_ned_m_s=(north, east, -up))
-
-    def _leaves_fence(self, place: Vector) -> bool:
-        """Whether a place lies outside the fence, and farther than the aircraft does: it may be led back in."""
-        fence = self.settings.limits.fence
-        if fence is None or (outside_m := fence.outside_m(place)) <= ROUNDING_M:
-            return False
-        here_m = 0.0 if self.whereabouts.enu_m is None else fence.outside_m(self.whereabouts.enu_m)
-        return here_m == 0.0 or outside_m > here_m + FENCE_SWAY_M
 
     def _can_send(self) -> bool:
         return (
@@ -468,63 +432,21 @@ class Aircraft:
         echoed = self.life.state in (GoalState.ACCEPTED, GoalState.EN_ROUTE, GoalState.REACHED)
         if not echoed or target is None or home is None or echo is None or not self.life.is_target(echo):
             return None
-        if self._sent_target is not target or echo.received_at < self._changed_at + ECHO_SETTLED_S:
+        if self.sender.sent is not target or echo.received_at < self.sender.changed_at + ECHO_SETTLED_S:
             return None
         relative = self.datum is AltitudeDatum.RELATIVE
         return echo_problem(echo, home.amsl_m + target.height_m if relative else target.amsl_m, home)
 
     def begin_hold(self) -> None:
         """Hold where it is now, not where it held before."""
-        self._hold_target = None
-        self._send_at = -math.inf
+        self._choice.forget_hold()
+        self.sender.hurry()
 
-    def _hold(self, under_way: bool = False) -> Target | None:
-        """Where it is, or, `under_way` until now, was last heard; None: unknown."""
-        position = self.vehicle.position
-        known = self.whereabouts.known(self.now) or (under_way and self.whereabouts.enu_m is not None)
-        if self._hold_target is None and position is not None and known:
-            self._hold_target = Target(position.latitude, position.longitude, position.relative_m, position.amsl_m)
-            self._send_at = -math.inf
-        return self._hold_target
-
-    def _put_on_wire(self, target: Target) -> None:
-        if self.autopilot is None:
+    def _take_reposition_answer(self, answer: Outcome) -> None:
+        if self.sender.sent is not self.assigned.target:
             return
-        # Where it holds, both heights are the vehicle's own, and the one above mean sea level needs no home.
-        amsl = target is self._hold_target and self.vehicle.home is None
-        datum = AltitudeDatum.AMSL if amsl else self.datum
-        changed = target != self._sent_target
-        if self.settings.transport is Transport.REPOSITION:
-            if changed and not self.commands.busy(mavlink.MAV_CMD_DO_REPOSITION):
-                command = self.autopilot.reposition(target, self.vehicle, datum)
-                self._sent_target, self._changed_at = target, self.now
-                self._reposition = self.commands.start(command, self.now)
-            return
-        sent = self._sent_target
-        moves = target.velocity_ned_m_s is not None
-        moved_before = sent is not None and sent.velocity_ned_m_s is not None
-        if self.now < self._send_at and (not changed or (moves and moved_before)):
-            return
-        message = self.autopilot.position_target(target, self.vehicle, datum, round(self.now * 1e3))
-        if changed and sent is not None and target is self.assigned.target and self.setpoint is None:
-            self.life.resent(self.now)
-        rate_hz = max(self.settings.setpoint_rate_hz, self.autopilot.min_stream_hz, MOVING_TARGET_HZ if moves else 0.0)
-        interval_s = 1.0 / rate_hz
-        # Regular on average, however late this call comes; after a pause, regular from now on.
-        self._send_at = max(self._send_at, self.now - interval_s) + interval_s
-        self._sent_target = target
-        if changed:
-            self._changed_at = self.now
-        self._send(message)
-        self.targets.add(0, self.now)
-
-    def _take_reposition_answer(self, pending: Pending) -> None:
-        self._reposition = None
-        outcome = pending.outcome
-        if outcome is None or self._sent_target is not self.assigned.target:
-            return
-        if outcome.accepted:
+        if answer.accepted:
             self.life.answered(self.now)
         else:
             words = self.vehicle.words_since(self.life.sent_at)
-            self.life.refused(f"{outcome.reason}: {words}" if words else outcome.reason)
+            self.life.refused(f"{answer.reason}: {words}" if words else answer.reason)

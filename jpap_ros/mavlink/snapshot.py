@@ -119,7 +119,7 @@ def snapshot_of(aircraft: Aircraft, condition: tuple[object, ...]) -> AircraftSn
         position=position,
         enu_m=None if position is None else aircraft.whereabouts.enu_m,
         geoid_separation_m=vehicle.geoid_separation_m,
-        setpoint_rate_hz=aircraft.targets.rates(aircraft.now)[0],
+        setpoint_rate_hz=aircraft.sender.traffic.rates(aircraft.now)[0],
         goal_state=life.state,
         goal_reason=life.reason,
         goal_plan_id=aircraft.assigned.goal.plan_id if aircraft.assigned.goal else 0,
