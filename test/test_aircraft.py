@@ -21,6 +21,7 @@ from jpap_ros.mavlink.autopilots import Transport
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalState
 from jpap_ros.mavlink.guards import GoalLimits, PlanDeadman
+from jpap_ros.mavlink.problems import problems_of
 from jpap_ros.mavlink.streams import WANTED
 
 ORIGIN = MapOrigin(-37.8136, 144.9631, 20.0)
@@ -241,10 +242,10 @@ def test_an_error_that_nobody_foresaw_leaves_it_to_its_autopilot_until_the_next_
     rig.wire.clear()
     rig.run(3.0)
     assert rig.targets == [] and rig.goal[0] is GoalState.YIELDED
-    assert any("KeyError" in problem for problem in rig.aircraft.problems())
+    assert any("KeyError" in problem for problem in problems_of(rig.aircraft))
     rig.aircraft.run(procedures.hold(rig.aircraft), lambda ok, text: rig.done.append((ok, text)), "hold")
     rig.run(1.0)
-    assert rig.done[-1][0] and rig.aircraft.problems() == [] and rig.targets
+    assert rig.done[-1][0] and problems_of(rig.aircraft) == [] and rig.targets
 
 
 def test_a_critical_vehicle_gets_no_goal_and_holds() -> None:
@@ -268,7 +269,7 @@ def test_home_not_set_is_told_and_nothing_relative_to_it_is_sent() -> None:
     rig.run(35.0)
     assert rig.done == [(False, "not ready: home is not set")]
     assert rig.targets == []
-    assert any("home is not set" in problem for problem in rig.aircraft.problems())
+    assert any("home is not set" in problem for problem in problems_of(rig.aircraft))
 
 
 def test_a_wrong_altitude_datum_is_refused_before_anything_is_sent() -> None:
@@ -282,7 +283,7 @@ def test_a_wrong_altitude_datum_is_refused_before_anything_is_sent() -> None:
     rig.run(2.0)
     assert rig.goal[0] is GoalState.REJECTED and "altitude datum" in rig.goal[1]
     assert {m.alt for m in rig.targets} == {70.0}, "only the place where it holds, 70 m above mean sea level"
-    assert any("altitude datum" in problem for problem in rig.aircraft.problems())
+    assert any("altitude datum" in problem for problem in problems_of(rig.aircraft))
 
 
 @pytest.mark.parametrize(
@@ -320,11 +321,11 @@ def test_heard_but_never_obeyed() -> None:
     rig.flying()
     rig.run(30.0)
     assert rig.targets == []
-    (problem,) = rig.aircraft.problems()
+    (problem,) = problems_of(rig.aircraft)
     assert "does not obey" in problem and "SYSID_ENFORCE" in problem
     # An answer ends it.
     rig.hear(mavlink.MAVLink_command_ack_message(511, 0, 0, 0, 245, 191))
-    assert rig.aircraft.problems() == []
+    assert problems_of(rig.aircraft) == []
 
 
 def test_everything_is_asked_for_again_when_positions_stop() -> None:
@@ -463,15 +464,15 @@ def test_an_echo_of_a_target_before_is_no_wrong_altitude_datum_but_one_that_stay
     rig.run(0.5)
     assert rig.targets[-1].alt == 30.0
     echo(rig, 42.0)
-    assert rig.goal[0] is GoalState.ACCEPTED and rig.aircraft.problems() == []
+    assert rig.goal[0] is GoalState.ACCEPTED and problems_of(rig.aircraft) == []
     rig.run(4.0)
     # Nothing was heard since: still no reason to think so.
-    assert rig.aircraft.problems() == []
+    assert problems_of(rig.aircraft) == []
     echo(rig, 42.0)
-    (problem,) = rig.aircraft.problems()
+    (problem,) = problems_of(rig.aircraft)
     assert "altitude datum" in problem and "62.0 m" in problem and "50.0 m" in problem
     echo(rig, 30.0)
-    assert rig.aircraft.problems() == []
+    assert problems_of(rig.aircraft) == []
 
 
 def test_while_the_target_moves_an_echo_nearby_is_of_it() -> None:

@@ -1,4 +1,4 @@
-"""One aircraft in the bridge's care: what it hears, who commands it, and the target that goes out to it."""
+"""One aircraft in the bridge's care: what it hears, who commands it, and whether its goal is flown now."""
 
 from __future__ import annotations
 
@@ -18,11 +18,7 @@ from jpap_ros.mavlink.coasting import coasting
 from jpap_ros.mavlink.commands import CommandChannel, Outcome, Pending
 from jpap_ros.mavlink.geodesy import LocalFrame
 from jpap_ros.mavlink.goals import Goal, GoalLife, GoalState
-from jpap_ros.mavlink.guards import (
-    PlanDeadman,
-    datum_problem,
-    echo_problem,
-)
+from jpap_ros.mavlink.guards import PlanDeadman
 from jpap_ros.mavlink.identity import identify, mismatch
 from jpap_ros.mavlink.procedure_runner import Done, Procedure, ProcedureRunner
 from jpap_ros.mavlink.steering import steers
@@ -32,12 +28,8 @@ from jpap_ros.mavlink.target_sender import TargetSender
 from jpap_ros.mavlink.vehicle import AUTOPILOT_COMPONENT, LinkState, Vehicle
 from jpap_ros.mavlink.whereabouts import Whereabouts
 
-#: Commands in a row without an answer, while the vehicle is heard well, before that is reported.
-UNANSWERED_SUSPICIOUS = 3
 #: This near to a moving setpoint an aircraft follows it [m].
 FOLLOWING_M = 5.0
-#: An echo sooner than this after its target was changed may still be of the one before [s].
-ECHO_SETTLED_S = 3.0
 #: Without a position for so long a goal under way is set aside; a shorter gap turns nobody back [s].
 POSITION_GAP_S = 10.0
 #: The autopilot's words from this long before a takeover belong to it [s].
@@ -74,6 +66,7 @@ class Aircraft:
     ) -> None:
         self.config = config
         self.settings = settings
+        self.frame = frame
         self.datum = AltitudeDatum(config.altitude_datum)
         self.vehicle = Vehicle(config.sysid, settings.link_timeout_s, settings.simulated_clock)
         self.whereabouts = Whereabouts(self.vehicle, frame, self.datum)
@@ -99,6 +92,8 @@ class Aircraft:
         #: Set by who knows the links: the system id is heard from several addresses; something else is wrong there.
         self.duplicates = ""
         self.link_problem = ""
+        #: What went wrong in the bridge itself, until the next order; empty: nothing did.
+        self.fault = ""
         #: Where traffic control wants it now; None: it has no part in it. And why it has to wait there.
         self.setpoint: Setpoint | None = None
         self.way_closed = ""
@@ -106,11 +101,9 @@ class Aircraft:
         self.way_home: Vector | None = None
         #: Whether it flies nowhere but where traffic control wants it.
         self.under_traffic_control = False
-        self._frame = frame
         self._deadman = deadman
         self._streams = StreamRequests(self.commands, send, (config.sysid, AUTOPILOT_COMPONENT), rates_hz)
         self._parting: Pending | None = None
-        self._fault = ""
 
     # --- what the planner wants
 
@@ -154,8 +147,13 @@ class Aircraft:
 
     def run(self, procedure: Procedure, done: Done, name: str) -> None:
         """Begin a procedure; another one under way ends as superseded."""
-        self._fault = ""
+        self.fault = ""
         self.procedure.run(procedure, done, name)
+
+    def begin_hold(self) -> None:
+        """Hold where it is now, not where it held before."""
+        self._choice.forget_hold()
+        self.sender.hurry()
 
     def part(self, now: float) -> None:
         """The bridge stops: tell the autopilot what it must know."""
@@ -218,6 +216,15 @@ class Aircraft:
         if self.autopilot is not None:
             self._streams.restart()
 
+    @property
+    def identity_problem(self) -> str:
+        """Why this vehicle is not served although it is heard; empty in good order."""
+        if self.duplicates:
+            return self.duplicates
+        if self.vehicle.autopilot is None or self.autopilot is not None:
+            return ""
+        return mismatch(self.vehicle, self.config.autopilot)
+
     def want_telemetry(self, rates_hz: Mapping[int, float]) -> None:
         """Ask for messages at other rates [Hz], by message id."""
         self._streams.want(rates_hz)
@@ -257,9 +264,9 @@ class Aircraft:
             False if that is known already.
         """
         fault = f"error in the bridge, {type(error).__name__}: {error}; it is left to its autopilot"
-        if fault == self._fault:
+        if fault == self.fault:
             return False
-        self._fault = fault
+        self.fault = fault
         self.procedure.stop(fault)
         self.part(now)
         self.streaming = self.goals_open = False
@@ -341,6 +348,15 @@ class Aircraft:
         if replaced and target is self.assigned.target and self.setpoint is None:
             self.life.resent(self.now)
 
+    def _take_reposition_answer(self, answer: Outcome) -> None:
+        if self.sender.sent is not self.assigned.target:
+            return
+        if answer.accepted:
+            self.life.answered(self.now)
+        else:
+            words = self.vehicle.words_since(self.life.sent_at)
+            self.life.refused(f"{answer.reason}: {words}" if words else answer.reason)
+
     def _follow(self, setpoint: Setpoint) -> None:
         """Whoever is where traffic control wants it obeys, though it may not come nearer to its goal meanwhile."""
         if self.whereabouts.enu_m is not None and math.dist(self.whereabouts.enu_m, setpoint.position) <= FOLLOWING_M:
@@ -397,56 +413,3 @@ class Aircraft:
         if problem := self.assigned.problem(self.autopilot, self.settings.limits, not self.under_traffic_control):
             return GoalState.REJECTED, problem
         return None
-
-    @property
-    def identity_problem(self) -> str:
-        """Why this vehicle is not served although it is heard; empty in good order."""
-        if self.duplicates:
-            return self.duplicates
-        if self.vehicle.autopilot is None or self.autopilot is not None:
-            return ""
-        return mismatch(self.vehicle, self.config.autopilot)
-
-    def problems(self) -> list[str]:
-        """What an operator should look into, each with what to do about it."""
-        vehicle = self.vehicle
-        found = [problem for problem in (self._fault, self.identity_problem, self.link_problem) if problem]
-        if vehicle.link is not LinkState.CONNECTED:
-            return found
-        if self.commands.unanswered_in_row >= UNANSWERED_SUSPICIOUS:
-            found.append(
-                f"heard but does not obey: {self.commands.unanswered_in_row} commands in a row without an answer; "
-                "check that the link works both ways and, on ArduPilot, that SYSID_ENFORCE is 0 or MAV_GCS_SYSID "
-                "(SYSID_MYGCS before 4.7) is the bridge's sysid"
-            )
-        if vehicle.position is not None and vehicle.home is None:
-            found.append("home is not set: heights above home cannot be flown; set home or wait for a better fix")
-        if problem := datum_problem(vehicle, self.datum, self._frame.origin.altitude_amsl_m):
-            found.append(problem)
-        if problem := self._echo_problem():
-            found.append(problem)
-        return found
-
-    def _echo_problem(self) -> str | None:
-        target, home, echo = self.assigned.target, self.vehicle.home, self.vehicle.echo
-        echoed = self.life.state in (GoalState.ACCEPTED, GoalState.EN_ROUTE, GoalState.REACHED)
-        if not echoed or target is None or home is None or echo is None or not self.life.is_target(echo):
-            return None
-        if self.sender.sent is not target or echo.received_at < self.sender.changed_at + ECHO_SETTLED_S:
-            return None
-        relative = self.datum is AltitudeDatum.RELATIVE
-        return echo_problem(echo, home.amsl_m + target.height_m if relative else target.amsl_m, home)
-
-    def begin_hold(self) -> None:
-        """Hold where it is now, not where it held before."""
-        self._choice.forget_hold()
-        self.sender.hurry()
-
-    def _take_reposition_answer(self, answer: Outcome) -> None:
-        if self.sender.sent is not self.assigned.target:
-            return
-        if answer.accepted:
-            self.life.answered(self.now)
-        else:
-            words = self.vehicle.words_since(self.life.sent_at)
-            self.life.refused(f"{answer.reason}: {words}" if words else answer.reason)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from jpap_ros.mavlink.aircraft import Aircraft
 from jpap_ros.mavlink.goals import GoalState
+from jpap_ros.mavlink.problems import problems_of
 from jpap_ros.mavlink.vehicle import Battery, LinkState, Position
 
 
@@ -88,7 +89,7 @@ def condition_of(aircraft: Aircraft) -> tuple[object, ...]:
         life.state,
         life.reason,
         aircraft.assigned.goal.plan_id if aircraft.assigned.goal else 0,
-        tuple(aircraft.problems()),
+        tuple(problems_of(aircraft)),
         aircraft.flown,
         aircraft.whereabouts.lost_m,
         aircraft.whereabouts.left_m,
@@ -124,7 +125,7 @@ def snapshot_of(aircraft: Aircraft, condition: tuple[object, ...]) -> AircraftSn
         goal_reason=life.reason,
         goal_plan_id=aircraft.assigned.goal.plan_id if aircraft.assigned.goal else 0,
         goal_distance_m=life.distance_m,
-        problems=tuple(aircraft.problems()),
+        problems=tuple(problems_of(aircraft)),
         reboots=vehicle.reboots,
         flown=aircraft.flown,
         line_m=aircraft.whereabouts.line_m(aircraft.setpoint),
