@@ -263,13 +263,14 @@ def test_nobody_goes_on_with_more_power_than_there_is_now():
 
 @pytest.mark.parametrize("heir", [grounded("u2", 100), flying("u2", 300)])
 def test_who_is_left_at_last_is_named_though_the_heir_has_nothing_new_to_do(heir):
+    planning = replace(SETTINGS, hold_factor=1.0)
     before = plan_of(AB, ("u1", 0, 0, "a"), ("u2", 100, 0, "b"))
     merged = plan_of(AB, ("u1", 0, 0, ""), ("u2", 100, 0, "ab"))
-    plan = handed_over(before, merged, [flying("u1", 0), heir], SETTINGS)
+    plan = handed_over(before, merged, [flying("u1", 0), heir], planning)
     assert plan.waiting == {"u1": ("u2",)} and not plan.interrupted
     new = plan_of([*AB, device("y", 2000), device("z", 2010)], ("u1", 2000, 0, "yz"), ("u2", 100, 0, "ab"))
     for _ in range(2):
-        plan = handed_over(plan, new, [flying("u1", 0), heir], SETTINGS)
+        plan = handed_over(plan, new, [flying("u1", 0), heir], planning)
         assert not plan.waiting and list(plan.interrupted) == ["a"]
 
 

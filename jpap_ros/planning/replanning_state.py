@@ -17,7 +17,7 @@ from jpap_ros.planning.replanning_rules import POWER_RULES, PowerRule
 from jpap_ros.planning.solver import validate
 
 #: See `Limits`.
-HOLD_FACTOR = 1.0
+HOLD_FACTOR = 3.0
 
 
 @dataclass(frozen=True, eq=False)
