@@ -144,7 +144,8 @@ def test_nothing_is_better_within_the_settled_radius(seed: int) -> None:
     around = np.array([x, y]) + np.column_stack([distance * np.cos(angle), distance * np.sin(angle)])
     here = rate_at(np.array([[x, y]]), points, power, radii2, LINK)[0]
     assert here > -math.inf
-    assert (rate_at(around, points, power, radii2, LINK) <= here + 1e-9).all()
+    # The climb ends with a step of 1 mm: up to 5e-9 short of the optimum in 20,000 draws; 9e-4 are promised.
+    assert (rate_at(around, points, power, radii2, LINK) <= here + 1e-7).all()
 
 
 def test_a_far_device_pulls_the_uav_to_the_edge_of_its_radius() -> None:
