@@ -167,6 +167,8 @@ class World:
     def __init__(self, devices: int, uavs: int, seed: int, scratch: bool) -> None:
         rng = np.random.default_rng(seed)
         self.scratch = scratch
+        # Where everything changes at every event, whoever waits for others may never go.
+        self.settings = replace(SETTINGS, hold_factor=0.0) if scratch else SETTINGS
         self.now = 0.0
         self.devices = {
             f"d{k}": Device(f"d{k}", tuple(rng.uniform(0, SIDE_M, 2).tolist()), rng.uniform(12, 17))
@@ -263,9 +265,9 @@ class World:
         self.planned_for = sum(craft.available for craft in aircraft)
         started = time.perf_counter()
         if present is None or self.scratch:
-            plan = plan_from_scratch(devices, SETTINGS, aircraft, present)
+            plan = plan_from_scratch(devices, self.settings, aircraft, present)
         else:
-            plan = plan_change(devices, SETTINGS, aircraft, present)
+            plan = plan_change(devices, self.settings, aircraft, present)
         self.latency_s.append(time.perf_counter() - started)
         self._put_in_force(plan)
         if self.scratch or present is None:
@@ -297,7 +299,7 @@ class World:
             return False
         before = self.published
         crewed = with_crew(self.plan, self.roster.crew)
-        self.plan = self.published = handed_over(before, crewed, self._aircraft(), SETTINGS)
+        self.plan = self.published = handed_over(before, crewed, self._aircraft(), self.settings)
         self.interrupted += len(self.plan.interrupted.keys() - (before.interrupted if before is not None else {}))
         of_uav = {cell.uav: cell for cell in self.plan.cells}
         for craft in self.fleet.values():
