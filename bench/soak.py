@@ -286,10 +286,10 @@ class World:
         """Step the fleet's life; True if a plan is needed for what became of it."""
         stations = {}
         if self.plan is not None:
-            wanted = {cell.id for cell in self.plan.target}
+            holding = self.plan.holding
             for cell in self.plan.cells:
                 goal = (*cell.position, SETTINGS.link.altitude_m)
-                stations[cell.id] = Station(goal, len(cell.device_ids), "" if cell.id in wanted else cell.uav)
+                stations[cell.id] = Station(goal, len(cell.device_ids), holding.get(cell.id, ""))
         self.roster = self.life.step(self.now, [self._vehicle(craft) for craft in self.fleet.values()], stations)
         self.relieved += sum(" relieves " in event for event in self.roster.events)
         self.critical += sum("critical battery" in event for event in self.roster.events)

@@ -151,6 +151,12 @@ class FleetPlan:
         return {cell.id: cell.uav for cell in self.cells if cell.uav}
 
     @property
+    def holding(self) -> dict[int, str]:
+        """Aircraft of each cell that is no more and where one stays until others serve, by the cell's id."""
+        wanted = {cell.id for cell in self.target}
+        return {cell.id: cell.uav for cell in self.cells if cell.id not in wanted}
+
+    @property
     def waiting(self) -> dict[str, tuple[str, ...]]:
         """Aircraft that go on as they were told before, and whom they wait for."""
         return {cell.uav: cell.waits_for for cell in self.cells if cell.uav and cell.waits_for}

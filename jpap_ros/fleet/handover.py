@@ -110,7 +110,7 @@ def handed_over(
             within_m = how.changes[cell.id].within_m
             until = tuple(radio.power_w.items()) if radio is not None and within_m else ()
             cells.append(replace(cell, apply_within_m=within_m, power_until_w=until))
-    owner = _owners(cells, plan, how, link)
+    owner = _owners(cells, plan, how, continuity, link)
     interrupted = {
         name: why
         for name, why in before.interrupted.items()
@@ -152,14 +152,17 @@ def moved_on(
     return now if news != before else None
 
 
-def _owners(cells: Sequence[FleetCell], plan: FleetPlan, how: HandOver, link: LinkBudget) -> dict[str, int]:
+def _owners(
+    cells: Sequence[FleetCell], plan: FleetPlan, how: HandOver, continuity: Continuity, link: LinkBudget
+) -> dict[str, int]:
     """Cell that each device counts for now: where it shall be, unless that waits or another one has to hold it."""
-    shall_be = {name: cell.id for cell in plan.live.cells for name in cell.device_ids}
+    shall_be = plan.live.cell_of
     owner: dict[str, int] = {}
     for cell in cells:
         if cell.waits_for:
-            for name in _fed(cell, plan.live.demands, link):
-                if name not in owner or shall_be.get(name) == cell.id:
+            for name, power_w in zip(cell.device_ids, cell.power_w, strict=True):
+                first = name not in owner or (name in shall_be and shall_be[name].id == cell.id)
+                if first and continuity.meets(_goal(cell, link), name, power_w):
                     owner[name] = cell.id
     owner |= {name: cell.id for cell in cells if not cell.waits_for for name in cell.device_ids}
     return owner | dict(how.holders)
@@ -191,18 +194,6 @@ def _told_before(cell: FleetCell, demands: Demands, settings: PlanSettings) -> F
         power_w=tuple(power.tolist()),
         rate=tuple((settings.bandwidth_hz * rate).tolist()),
     )
-
-
-def _fed(cell: FleetCell, demands: Demands, link: LinkBudget) -> list[str]:
-    """Devices whose demand an aircraft meets at its goal."""
-    goal = _goal(cell, link)
-    fed = []
-    for name, power in zip(cell.device_ids, cell.power_w, strict=True):
-        k = demands.index[name]
-        distance2 = math.dist(goal, (*demands.places[k], 0.0)) ** 2
-        if power * link.eta * (1 + RELATIVE_TOLERANCE) >= demands.snr_demand[k] * distance2:
-            fed.append(name)
-    return fed
 
 
 def _radio(cell: FleetCell, place: Place, link: LinkBudget) -> Radio:

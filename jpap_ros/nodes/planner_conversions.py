@@ -101,18 +101,7 @@ def deployment_message(
         plan_id=plan_id,
         reason=reason,
         scheme=plan.scheme,
-        cells=[
-            Cell(
-                uav=cell.uav,
-                goal_pose=_pose((*cell.position, altitude_m)),
-                device_ids=list(cell.served),
-                power_w=[power for power, _ in cell.served.values()],
-                rate=[rate for _, rate in cell.served.values()],
-                uav_rate=cell.uav_rate,
-                coverage_radius_m=cell.coverage_radius_m,
-            )
-            for cell in plan.cells
-        ],
+        cells=[_cell(cell, altitude_m) for cell in plan.cells],
         unserved=[UnservedDevice(id=device, reason=why) for device, why in plan.unserved.items()],
         uavs_needed=plan.uavs_needed,
         min_uavs_bound=-1 if plan.min_uavs_bound is None else plan.min_uavs_bound,
@@ -123,6 +112,19 @@ def deployment_message(
         average_uav_rate_bound=math.nan if plan.waiting else plan.average_uav_rate_bound,
         interrupted=list(plan.interrupted),
         planning_time=_duration(planning_time_s),
+    )
+
+
+def _cell(cell: FleetCell, altitude_m: float) -> Cell:
+    served = cell.served
+    return Cell(
+        uav=cell.uav,
+        goal_pose=_pose((*cell.position, altitude_m)),
+        device_ids=list(served),
+        power_w=[power for power, _ in served.values()],
+        rate=[rate for _, rate in served.values()],
+        uav_rate=cell.uav_rate,
+        coverage_radius_m=cell.coverage_radius_m,
     )
 
 

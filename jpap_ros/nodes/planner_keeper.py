@@ -93,11 +93,10 @@ class FleetKeeper:
         weight = {device.id: device.weight for device in devices}
         stations = {}
         if plan is not None:
-            wanted = {cell.id for cell in plan.target}
+            holding = plan.holding
             for cell in plan.cells:
                 value = sum(weight.get(name, 0.0) for name in cell.device_ids)
-                held_by = "" if cell.id in wanted else cell.uav
-                stations[cell.id] = Station((*cell.position, altitude_m), value, held_by)
+                stations[cell.id] = Station((*cell.position, altitude_m), value, holding.get(cell.id, ""))
         vehicles = [vehicle_of(name, states.get(name), name in self._sent_home) for name in self._uavs]
         roster = self._life.step(now_s, vehicles, stations)
         for action in roster.actions:

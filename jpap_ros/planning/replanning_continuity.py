@@ -75,8 +75,8 @@ class OnAir:
         """Return what is transmitted once every UAV of a plan is at its goal; those of `lost` cells do not go on."""
         flying = {}
         for cell in plan.cells:
-            goal, powers = (*cell.position, link.altitude_m), dict(zip(cell.device_ids, cell.power_w, strict=True))
-            flying[cell.id] = Radio(goal, powers, Told(goal, powers))
+            goal = (*cell.position, link.altitude_m)
+            flying[cell.id] = Radio(goal, cell.powers, Told(goal, cell.powers))
         gone = tuple(flying.pop(cell_id) for cell_id in lost if cell_id in flying)
         return cls(flying, gone)
 
@@ -145,7 +145,7 @@ class Continuity:
         if radio is None:
             return PowerChange(0.0, dict.fromkeys(served, "goes to a UAV that has to arrive first"))
         goal = self.goal(cell)
-        powers = dict(zip(cell.device_ids, cell.power_w, strict=True))
+        powers = cell.powers
         windows = {name: self._window(name, radio, powers[name], goal) for name in served}
         most, best = 0, 0.0
         for moment in sorted({0.0, *(first for first, _ in windows.values())}):
@@ -168,8 +168,12 @@ class Continuity:
         change = 1.0 - told.within_m / way_m if told.within_m and way_m > told.within_m else 0.0
         return self._is_served(radio, name) and first <= change <= last
 
+    def meets(self, place: Place, name: str, power_w: float) -> bool:
+        """Whether a power [W] meets a device's demand from a place."""
+        return math.dist(place, self._place(name)) ** 2 <= self._reach2(name, power_w)
+
     def _is_served(self, radio: Radio, name: str) -> bool:
-        return math.dist(radio.place, self._place(name)) ** 2 <= self._reach2(name, radio.power_w[name])
+        return self.meets(radio.place, name, radio.power_w[name])
 
     def _window(self, name: str, radio: Radio, power_w: float, goal: Place) -> tuple[float, float]:
         """Shares of the way between which the powers have to change for this device's sake."""

@@ -115,7 +115,7 @@ def _as_told(continuity: Continuity, cell: LiveCell) -> bool:
     radio = continuity.flying.get(cell.id)
     if radio is None or radio.told is None or radio.told.goal != continuity.goal(cell):
         return False
-    return radio.told.power_w == dict(zip(cell.device_ids, cell.power_w, strict=True))
+    return radio.told.power_w == cell.powers
 
 
 def _holders(continuity: Continuity, plan: LivePlan, told: Collection[int]) -> dict[str, int]:

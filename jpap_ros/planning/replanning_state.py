@@ -126,6 +126,11 @@ class LiveCell:
     device_ids: tuple[str, ...]
     power_w: tuple[float, ...]
 
+    @property
+    def powers(self) -> dict[str, float]:
+        """Power for each device [W]."""
+        return dict(zip(self.device_ids, self.power_w, strict=True))
+
 
 @dataclass(frozen=True, eq=False)
 class LivePlan:
